@@ -1,0 +1,1 @@
+"""iRobot Create over its Open Interface: teleoperation and telemetry, never odometry."""

@@ -1,0 +1,1 @@
+"""Laser ranges in, motions and maps out: scan matching and DP-SLAM, as pure functions of arrays and stamps."""

@@ -1,0 +1,1 @@
+"""Processes, messages, recordings and commands around the drivers and the processing."""

@@ -1,0 +1,1 @@
+"""What people have on disk: laser logs, bags, trajectories, maps."""
