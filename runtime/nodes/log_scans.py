@@ -1,0 +1,35 @@
+"""The scans of a log, as processing takes them: the door between files and algorithms."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from processing.scan import Beams, Scan
+from runtime.formats.laser_log import LaserLog
+from runtime.formats.logs import open_log
+
+
+def beams_of(log: LaserLog) -> Beams:
+    """Return the geometry of a log, rounded to single precision as every message carries it."""
+    g = log.geometry
+    return Beams(
+        count=g.count,
+        angle_min_rad=g.angle_min_rad,
+        angle_increment_rad=g.angle_increment_rad,
+        time_increment_s=g.time_increment_s,
+        period_s=g.period_s,
+        range_min_m=g.range_min_m,
+        range_max_m=g.range_max_m,
+    )
+
+
+def iterate(log: LaserLog) -> Iterator[Scan]:
+    """Yield every scan in file order under its raw stamp."""
+    beams = beams_of(log)
+    for record in log:
+        yield Scan(record.stamp_ns, record.ranges_m, beams)
+
+
+def scans_of(path: Path | str, topic: str | None = None) -> tuple[Beams, Iterator[Scan]]:
+    """Open a log of any format: its beams, and an iterator over all its scans."""
+    log = open_log(Path(path), topic)
+    return beams_of(log), iterate(log)
