@@ -1,7 +1,7 @@
 """Laser scans in ROS 1 bags, ROS 2 bags and bare MCAP files, read by rosbags without ROS.
 
-The messages tell the geometry. The bag is read twice, first for stamps and rules, then scan by scan, so that a day of
-scans needs no more memory than one.
+The messages tell the geometry. The bag is read twice, first for stamps and rules, then scan by scan, so that
+a day of scans needs no more memory than one.
 """
 
 from collections.abc import Iterator
@@ -47,11 +47,11 @@ def read_bag(path: Path, topic: str | None = None) -> LaserLog:
                 _check_geometry(path, scan)
                 first = scan
             elif shape != _shape(first):
-                raise FormatError(
-                    path,
-                    f"{chosen} scan {index + 1}: beams, angles {shape}, must stay {_shape(first)} in one log",
+                rule = (
+                    f"{chosen} scan {index + 1}: beams, angles {shape}, must stay {_shape(first)} in one log"
                 )
-            wrong = np.flatnonzero(~(scan.ranges > 0))
+                raise FormatError(path, rule)
+            wrong = np.flatnonzero(~(scan.ranges >= 0))  # many drivers say 0 for "no information"
             if len(wrong) and not odd:
                 first_odd = f"scan {index + 1}, beam {wrong[0]}: {scan.ranges[wrong[0]]:g}"
             odd += len(wrong)
@@ -124,7 +124,7 @@ def _scans(path: Path, reader: Any, topic: str) -> Iterator[Any]:
 
 
 def _choose(path: Path, reader: Any, topic: str | None) -> str:
-    topics = {one.topic: one.msgtype for one in reader.connections}
+    topics: dict[str, str] = {one.topic: one.msgtype for one in reader.connections}
     lasers = sorted(name for name, kind in topics.items() if kind == LASER_TYPE)
     if topic is not None:
         wanted = [name for name in lasers if name.lstrip("/") == topic.lstrip("/")]

@@ -1,7 +1,7 @@
 """CARMEN logs: `FLASER` (front laser of 180 degrees) and `ROBOTLASER1` (which tells its own geometry).
 
-Each message is one line: name, contents, ipc time, host, logger time. The ipc time is the stamp of the scan; it is
-the one by which published ground truth names scans. Odometry and parameters are passed over.
+Each message is one line: name, contents, ipc time, host, logger time. The ipc time is the stamp of the scan: by it
+published ground truth names scans. Odometry and parameters are passed over.
 """
 
 import math
@@ -13,7 +13,8 @@ from runtime.formats.text import ScanTable, lines_of, numbers, stamp_ns, whole_n
 
 MESSAGES = ("FLASER", "ROBOTLASER1")
 _WORDS = (
-    "#", "PARAM", "SYNC", "ODOM", "FLASER", "RLASER", "LASER", "ROBOTLASER", "RAWLASER", "TRUEPOS", "IMU", "NMEA", "GPS",
+    "#", "PARAM", "SYNC", "ODOM", "FLASER", "RLASER", "LASER", "ROBOTLASER", "RAWLASER", "TRUEPOS", "IMU",
+    "NMEA", "GPS",
 )  # fmt: skip
 FIELD_OF_VIEW_RAD = math.pi
 NO_ECHO_M = 50.0
@@ -82,15 +83,13 @@ def _read_robotlaser(path: Path, lines: list[tuple[int, list[str]]]) -> LaserLog
     if step_rad <= 0.0:
         step_rad = field_rad / max(count - 1, 1)
     if not (math.isfinite(start_rad) and 0.0 < step_rad < math.pi):
-        raise FormatError(
-            path, f"start angle {start_rad}, resolution {step_rad} rad, must be a fan of rays", lines[0][0]
-        )
+        rule = f"start angle {start_rad}, resolution {step_rad} rad, must be a fan of rays"
+        raise FormatError(path, rule, lines[0][0])
     no_echo_m = min(max_m, NO_ECHO_M) if max_m > 0.0 else NO_ECHO_M
     return table.finish(angle_min_rad=start_rad, angle_increment_rad=step_rad, range_max_m=no_echo_m)
 
 
 def _check_length(path: Path, line: int, name: str, found: int, expected: int) -> None:
     if found != expected:
-        raise FormatError(
-            path, f"{name} with {found} fields, must be {expected}: the line is cut or foreign", line
-        )
+        rule = f"{name} with {found} fields, must be {expected}: the line is cut or foreign"
+        raise FormatError(path, rule, line)

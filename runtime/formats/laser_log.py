@@ -88,7 +88,7 @@ def robust_period_s(stamps_ns: NDArray[np.int64]) -> float:
     """Estimate the time from scan to scan: the median over windows of up to `PERIOD_WINDOW` scans.
 
     Args:
-        stamps_ns: (N,) in file order; bursts, pauses and steps backwards do no harm while they are the exception.
+        stamps_ns: (N,) in file order; bursts, pauses and steps backwards do no harm while they are rare.
 
     Returns:
         The period in seconds; `DEFAULT_PERIOD_S` when the stamps tell none (one scan, equal stamps).
@@ -108,13 +108,13 @@ def stamp_notices(path: Path, stamps_ns: NDArray[np.int64]) -> tuple[str, ...]:
     at = int(back[0])
     before, after = stamps_ns[at] / 1e9, stamps_ns[at + 1] / 1e9
     return (
-        f"{path}: stamps go backwards {len(back)} times (first at scan {at + 2}: {before:.6f} -> {after:.6f} s);"
-        " the order of the file is kept",
+        f"{path}: stamps go backwards {len(back)} times"
+        f" (first at scan {at + 2}: {before:.6f} -> {after:.6f} s); the order of the file is kept",
     )
 
 
 def reading_notices(path: Path, odd: int, first: str) -> tuple[str, ...]:
-    """Say, in at most one line, that readings were not distances; `first` names place and value of the first."""
+    """Say, in at most one line, that readings were no distances; `first` is place and value of the first."""
     if odd == 0:
         return ()
-    return (f"{path}: {odd} readings are zero, negative or NaN (first at {first}); taken as no information",)
+    return (f"{path}: {odd} readings are no distance (first at {first}); taken as no information",)

@@ -30,14 +30,14 @@ def open_bytes(path: Path) -> IO[bytes]:
     with path.open("rb") as file:
         magic = file.read(3)
     if magic[:2] == b"\x1f\x8b":
-        return io.BufferedReader(gzip.open(path, "rb"))  # type: ignore[arg-type]
+        return io.BufferedReader(gzip.open(path, "rb"))
     if magic == b"BZh":
         return bz2.open(path, "rb")
     return path.open("rb")
 
 
 def lines_of(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield number (from 1) and text of each line that is not blank; FormatError where the bytes end or are no text."""
+    """Yield number (from 1) and text of each line not blank; FormatError where it is cut or no text."""
     number = 0
     try:
         with open_bytes(path) as file:
@@ -54,7 +54,7 @@ def lines_of(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def stamp_ns(path: Path, line: int, text: str, unit_exponent: int = 9) -> int:
-    """Read a stamp digit by digit, without the rounding of a float; `unit_exponent` 9 for seconds, 3 for us."""
+    """Read a stamp by its digits, without the rounding of a float; `unit_exponent` 9 for s, 3 for us."""
     try:
         value = int(Decimal(text).scaleb(unit_exponent))
     except (InvalidOperation, ValueError, OverflowError):
@@ -88,8 +88,8 @@ def whole_number(path: Path, line: int, text: str, what: str) -> int:
 class ScanTable:
     """Collects the scans of a text log and makes the log of them."""
 
-    def __init__(self, path: Path, kind: str) -> None:
-        self._path, self._kind = path, kind
+    def __init__(self, path: Path, kind: str, zero_is_a_code: bool = False) -> None:
+        self._path, self._kind, self._zero_is_a_code = path, kind, zero_is_a_code
         self._stamps: list[int] = []
         self._rows: list[NDArray[np.float32]] = []
         self._first_line = 0
@@ -109,7 +109,7 @@ class ScanTable:
             )
         if not self._rows:
             self._first_line = line
-        odd = np.flatnonzero(~(row > 0.0))
+        odd = np.flatnonzero(~((row >= 0.0) if self._zero_is_a_code else (row > 0.0)))
         if len(odd) and not self._odd:
             self._first_odd = f"line {line}, beam {odd[0]}: {row[odd[0]]:g}"
         self._odd += len(odd)

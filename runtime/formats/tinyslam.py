@@ -32,7 +32,7 @@ def looks_like(line: str) -> bool:
 
 def read_tinyslam(path: Path) -> LaserLog:
     """Read a whole log; FormatError names the line that breaks a rule."""
-    table = ScanTable(path, "tinySLAM")
+    table = ScanTable(path, "tinySLAM", zero_is_a_code=True)
     columns = 0
     for line, text in lines_of(path):
         tokens = text.split()

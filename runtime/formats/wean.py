@@ -1,4 +1,4 @@
-"""The Wean Hall text format: `L x y theta xl yl thetal r1 .. r180 stamp`, centimetres; `O` lines are odometry."""
+"""The Wean Hall text format, centimetres: `L x y theta xl yl thetal r1 .. r180 stamp`; `O` is odometry."""
 
 import math
 from pathlib import Path
@@ -28,7 +28,8 @@ def read_wean(path: Path) -> LaserLog:
         if tokens[0] not in expected:
             raise FormatError(path, f"line begins with {tokens[0][:20]!r}, must be L or O", line)
         if len(tokens) != expected[tokens[0]]:
-            rule = f"{tokens[0]} with {len(tokens)} fields, must be {expected[tokens[0]]}: the line is cut or foreign"
+            must = expected[tokens[0]]
+            rule = f"{tokens[0]} with {len(tokens)} fields, must be {must}: the line is cut or foreign"
             raise FormatError(path, rule, line)
         if tokens[0] == "L":
             ranges_cm = numbers(path, line, tokens[7:-1], "range")
