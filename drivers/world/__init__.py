@@ -1,0 +1,40 @@
+"""A simulated world for the emulators: buildings, a ray caster, laser models and a wheeled robot."""
+
+from drivers.world.building import Building, box, outline
+from drivers.world.drive import simulate_scans
+from drivers.world.generators import (
+    corridor,
+    demo_building,
+    hallway_with_doors,
+    loop_corridor,
+    pillar_hall,
+    room,
+    square_of_corridors,
+)
+from drivers.world.laser import Laser, Sick, Urg04lx, bearings
+from drivers.world.pursuit import Pursuit, PursuitConfig
+from drivers.world.raycast import Hits, cast
+from drivers.world.robot import WheeledRobot
+
+__all__ = [
+    "Building",
+    "Hits",
+    "Laser",
+    "Pursuit",
+    "PursuitConfig",
+    "Sick",
+    "Urg04lx",
+    "WheeledRobot",
+    "bearings",
+    "box",
+    "cast",
+    "corridor",
+    "demo_building",
+    "hallway_with_doors",
+    "loop_corridor",
+    "outline",
+    "pillar_hall",
+    "room",
+    "simulate_scans",
+    "square_of_corridors",
+]
