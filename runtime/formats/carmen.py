@@ -1,7 +1,7 @@
 """CARMEN logs: `FLASER` (front laser of 180 degrees) and `ROBOTLASER1` (which tells its own geometry).
 
-Each message is one line: name, contents, ipc time, host, logger time. The ipc time is the stamp of the scan: by it
-published ground truth names scans. Odometry and parameters are passed over.
+Each message is one line: name, contents, ipc time, host, logger time. The ipc time is the stamp of the scan;
+published ground truth names scans by it. Odometry and parameters are passed over.
 """
 
 import math

@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+from runtime.errors import HallwayError
 
-class FormatError(ValueError):
+
+class FormatError(HallwayError, ValueError):
     """A file, or a line of it, that breaks the rules of its format.
 
     Args:
@@ -11,6 +13,8 @@ class FormatError(ValueError):
         rule: What is wrong, with the value that was found.
         line: Line number counted from 1, or None when the whole file is meant.
     """
+
+    exit_code = 2
 
     def __init__(self, path: Path, rule: str, line: int | None = None) -> None:
         place = str(path) if line is None else f"{path}:{line}"

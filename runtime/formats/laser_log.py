@@ -1,6 +1,6 @@
 """A laser log as every format gives it: one geometry, raw stamps, ranges by REP-117, in file order.
 
-The law: stamps are the file's own digits and are never mended; the period is the rate of the whole log, because
+The law: stamps are the file's own digits and are never mended; the period is the rate of the whole log, for
 arrival stamps come in bursts and even backwards. A reading is a distance, +inf (nothing returned) or NaN (no
 information), never zero.
 """
