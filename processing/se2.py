@@ -13,6 +13,7 @@ Pose: TypeAlias = NDArray[np.float64]
 
 # A grid of about 1e-12 rad: far under any sensor, far over the rounding of a quaternion (see `snap_yaw`).
 _YAW_STEPS_PER_RAD = 2.0**40
+_YAW_STEPS_HALF_TURN = np.floor(np.pi * _YAW_STEPS_PER_RAD)
 
 
 def wrap(angle_rad: ArrayLike) -> NDArray[np.float64]:
@@ -58,5 +59,8 @@ def snap_yaw(a_t_b: Pose) -> Pose:
     restores every bit, which makes a run through messages equal to a run in one process.
     """
     snapped = np.array(a_t_b, dtype=np.float64)
-    snapped[..., 2] = np.round(wrap(snapped[..., 2]) * _YAW_STEPS_PER_RAD) / _YAW_STEPS_PER_RAD
+    steps = np.round(wrap(snapped[..., 2]) * _YAW_STEPS_PER_RAD)
+    # The last grid points inside the half circle: rounding must not leave it and come back on the other side.
+    steps = np.clip(steps, -_YAW_STEPS_HALF_TURN, _YAW_STEPS_HALF_TURN)
+    snapped[..., 2] = steps / _YAW_STEPS_PER_RAD
     return snapped

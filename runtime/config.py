@@ -1,0 +1,132 @@
+"""YAML and frozen dataclasses: the only module that reads or writes YAML.
+
+Every error is a `ConfigError` that names place, rule and value; an unknown key comes with a guess.
+"""
+
+import dataclasses
+import difflib
+import enum
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union
+
+import yaml
+
+from runtime.errors import ConfigError
+
+T = TypeVar("T")
+
+
+def refuse_unknown(keys: typing.Iterable[Any], known: typing.Collection[str], where: str) -> None:
+    """Raise ConfigError, with a guess, for the first key that is not among the known ones."""
+    for key in keys:
+        if key not in known:
+            near = difflib.get_close_matches(str(key), known, n=1)
+            known_text = ", ".join(sorted(known)) or "none"
+            hint = f"; did you mean {near[0]!r}?" if near else f"; known: {known_text}"
+            raise ConfigError(f"{where}.{key}: unknown key{hint}")
+
+
+def build(cls: type[T], data: Mapping[str, Any] | None, where: str = "config") -> T:
+    """Check a plain mapping against the fields of the dataclass `cls` and build it; raises ConfigError."""
+    if not isinstance(data := {} if data is None else data, Mapping):
+        raise ConfigError(f"{where}: must be a mapping of {cls.__name__}, got {data!r}")
+    hints = typing.get_type_hints(cls)
+    names = [f.name for f in dataclasses.fields(cls) if f.init]  # type: ignore[arg-type]
+    refuse_unknown(data, names, where)
+    values = {name: _value(hints[name], value, f"{where}.{name}") for name, value in data.items()}
+    try:
+        return cls(**values)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{where}: {error}") from error
+
+
+def _value(hint: Any, value: Any, where: str) -> Any:
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in args:
+            return None
+        return _value(next(arg for arg in args if arg is not type(None)), value, where)
+    if hint is Any:
+        return value
+    if origin is Literal:
+        if value not in args:
+            raise ConfigError(f"{where} = {value!r}, must be one of {', '.join(map(repr, args))}")
+        return value
+    if origin in (tuple, list) and isinstance(value, (list, tuple)):
+        if origin is list or args[-1] is Ellipsis:
+            args = (args[0],) * len(value)
+        if len(args) != len(value):
+            raise ConfigError(f"{where} = {value!r}, must have {len(args)} values")
+        pairs = enumerate(zip(args, value, strict=True))
+        return origin(_value(arg, item, f"{where}[{i}]") for i, (arg, item) in pairs)
+    if origin is dict and isinstance(value, Mapping):
+        return {str(key): _value(args[1], item, f"{where}.{key}") for key, item in value.items()}
+    if dataclasses.is_dataclass(hint):
+        return build(typing.cast(type, hint), value, where)
+    if isinstance(hint, type) and issubclass(hint, enum.Enum):
+        named = {str(member.value): member for member in hint} | {member.name: member for member in hint}
+        if str(value) not in named:
+            raise ConfigError(f"{where} = {value!r}, must be one of {', '.join(m.name for m in hint)}")
+        return named[str(value)]
+    if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value)
+    if hint is Path and isinstance(value, str):
+        return Path(value)
+    if isinstance(hint, type) and isinstance(value, hint) and not (hint is int and isinstance(value, bool)):
+        return value
+    raise ConfigError(f"{where} = {value!r}, must be {getattr(origin or hint, '__name__', hint)}")
+
+
+def plain(value: Any) -> Any:
+    """Turn dataclasses, enums, paths and tuples into what YAML and JSON can hold."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, enum.Enum):
+        return value.name
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+class _Strict(yaml.SafeLoader):
+    """YAML in which a key given twice is an error, not a silent choice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
+        if twice := [key for i, key in enumerate(keys) if key in keys[:i]]:
+            problem = f"key {twice[0]!r} given twice"
+            raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+        return super().construct_mapping(node, deep)
+
+
+def load_yaml(path: Path) -> Any:
+    """Read a YAML file; raises ConfigError with the line where it is broken."""
+    try:
+        return yaml.load(path.read_text(encoding="utf-8"), Loader=_Strict)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    except yaml.MarkedYAMLError as error:
+        line = error.problem_mark.line + 1 if error.problem_mark else 0
+        raise ConfigError(f"{path}:{line}: not YAML: {error.problem}") from error
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{path}: not YAML: {error}") from error
+
+
+def load(cls: type[T], path: Path, section: str | None = None) -> T:
+    """Read a configuration from a file, or from one section of it, which must be there."""
+    data = load_yaml(path)
+    if section is None:
+        return build(cls, data, str(path))
+    if not isinstance(data, Mapping) or section not in data:
+        raise ConfigError(f"{path}: section {section!r} is missing")
+    return build(cls, data[section], f"{path}: {section}")
+
+
+def to_yaml(value: Any) -> str:
+    """Write a configuration, or any plain value, as YAML in the order of its fields."""
+    return str(yaml.safe_dump(plain(value), sort_keys=False, allow_unicode=True))
