@@ -1,0 +1,140 @@
+"""Compare a trajectory with ground truth: relations of Kümmerle et al., or a reference trajectory."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from runtime.errors import ConfigError, DataLostError
+
+if TYPE_CHECKING:
+    from processing.evaluation import PoseErrors
+    from runtime.formats.tum import Trajectory
+
+STAMP_TOLERANCE_NS = 1000
+"""Relations name scans by their raw stamps; a microsecond is how exactly both are printed."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments; heavy imports wait until `run`."""
+    parser.add_argument("trajectory", type=Path, help="TUM file, or a results folder")
+    truth = parser.add_mutually_exclusive_group(required=True)
+    truth.add_argument("--relations", type=Path, metavar="F", help="relative poses between raw stamps")
+    truth.add_argument("--reference", type=Path, metavar="F", help="true trajectory as TUM: ATE and RPE")
+    parser.add_argument(
+        "--laser-in-base", type=float, nargs=3, metavar=("X", "Y", "YAW"),
+        help="mounting (m, m, rad): the trajectory is the laser's, the truth the base's",
+    )  # fmt: skip
+    parser.add_argument(
+        "--max-difference", type=float, default=0.02, metavar="S",
+        help="seconds between stamps that still count as one moment, for --reference (default 0.02)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--stretch", type=float, default=1.0, metavar="M",
+        help="metres of way over which RPE is measured (default 1)",
+    )  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="machine-readable, one object")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the errors; 0 when every truth was compared, 4 when poses were missing for some."""
+    import numpy as np
+
+    from processing.se2 import compose, invert
+    from runtime.formats.tum import Trajectory, read_tum
+
+    if not args.stretch > 0:
+        raise ConfigError(f"--stretch = {args.stretch}, must be positive")
+    if not args.max_difference >= 0:
+        raise ConfigError(f"--max-difference = {args.max_difference}, must be at least 0")
+    folder = args.trajectory.is_dir()
+    trajectory = read_tum(args.trajectory / "trajectory.tum" if folder else args.trajectory)
+    if args.laser_in_base:
+        mounted = compose(trajectory.poses, invert(np.array(args.laser_in_base)))
+        trajectory = Trajectory(trajectory.stamps_ns, mounted)
+    report = _relations(args, trajectory) if args.relations else _reference(args, trajectory)
+    if args.json:
+        print(json.dumps(report))
+    else:
+        _print_table(report)
+    if report["compared"] < report["truths"]:
+        missing = report["truths"] - report["compared"]
+        print(
+            f"hallway evaluate: {missing} of {report['truths']} truths have no pose at their stamps;"
+            " the errors speak of the others only",
+            file=sys.stderr,
+        )
+        return int(DataLostError.exit_code)
+    return 0
+
+
+def _relations(args: argparse.Namespace, trajectory: "Trajectory") -> dict[str, Any]:
+    from processing.evaluation import nearest_stamps, relation_errors
+    from runtime.formats.relations import read_relations
+
+    relations = read_relations(args.relations)
+    a = nearest_stamps(trajectory.stamps_ns, relations.stamps_a_ns, STAMP_TOLERANCE_NS)
+    b = nearest_stamps(trajectory.stamps_ns, relations.stamps_b_ns, STAMP_TOLERANCE_NS)
+    both = (a >= 0) & (b >= 0)
+    if not both.any():
+        raise ConfigError(
+            f"{args.relations}: none of its {len(relations)} pairs of stamps is in {args.trajectory}"
+        )
+    poses = trajectory.poses
+    errors = relation_errors(poses[a[both]], poses[b[both]], relations.a_t_b[both])
+    return _report(args, "relations", len(relations), {"relation": errors})
+
+
+def _reference(args: argparse.Namespace, trajectory: "Trajectory") -> dict[str, Any]:
+    from processing.evaluation import absolute_errors, nearest_stamps, relative_errors
+    from runtime.formats.tum import read_tum
+
+    reference = read_tum(args.reference)
+    tolerance_ns = round(args.max_difference * 1e9)
+    index = nearest_stamps(trajectory.stamps_ns, reference.stamps_ns, tolerance_ns)
+    found = index >= 0
+    if found.sum() < 2:
+        rule = f"{found.sum()} of its {len(reference)} stamps are in {args.trajectory}, must be at least 2"
+        raise ConfigError(f"{args.reference}: {rule}")
+    truth, estimate = reference.poses[found], trajectory.poses[index[found]]
+    stretches = relative_errors(truth, estimate, args.stretch)
+    errors = {"ate": absolute_errors(truth, estimate)}
+    if len(stretches):
+        errors["rpe"] = stretches
+    return _report(args, "reference", len(reference), errors)
+
+
+def _report(
+    args: argparse.Namespace, kind: str, truths: int, errors: "dict[str, PoseErrors]"
+) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from processing.evaluation import summarise
+
+    report: dict[str, Any] = {"trajectory": str(args.trajectory), kind: str(getattr(args, kind))}
+    report |= {"truths": truths, "compared": len(next(iter(errors.values())))}
+    if "rpe" in errors:
+        report["stretch_m"] = args.stretch
+    for name, of in errors.items():
+        report[name] = {
+            "count": len(of),
+            "translation_m": asdict(summarise(of.translation_m)),
+            "rotation_deg": asdict(summarise(of.rotation_deg)),
+        }
+    return report
+
+
+def _print_table(report: dict[str, Any]) -> None:
+    titles = {"relation": "relations", "ate": "ATE, aligned", "rpe": f"RPE over {report.get('stretch_m')} m"}
+    print(f"{report['compared']} of {report['truths']} truths compared")
+    print(f"{'':<16}{'':<5}{'mean ± std':>20}{'rmse':>10}{'median':>10}{'p95':>10}{'max':>10}")
+    for name, title in titles.items():
+        if name not in report:
+            continue
+        for unit, key, digits in (("m", "translation_m", 4), ("deg", "rotation_deg", 3)):
+            s = report[name][key]
+            spread = f"{s['mean']:.{digits}f} ± {s['std']:.{digits}f}"
+            rest = "".join(f"{s[column]:>10.{digits}f}" for column in ("rmse", "median", "p95", "max"))
+            print(f"{title:<16}{unit:<5}{spread:>20}{rest}")
+            title = ""
