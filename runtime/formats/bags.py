@@ -129,9 +129,7 @@ def _choose(path: Path, reader: Any, topic: str | None) -> str:
     if topic is not None:
         wanted = [name for name in lasers if name.lstrip("/") == topic.lstrip("/")]
         if not wanted:
-            raise FormatError(
-                path, f"topic {topic!r} is no LaserScan here; LaserScan topics: {_names(lasers)}"
-            )
+            raise FormatError(path, f"topic {topic!r} is no LaserScan; LaserScan topics: {_names(lasers)}")
         return wanted[0]
     if not lasers:
         raise FormatError(path, f"no {LASER_TYPE} topic; the bag holds {_names(sorted(topics))}")

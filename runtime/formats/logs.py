@@ -6,7 +6,7 @@ from runtime.formats import carmen, tinyslam, wean
 from runtime.formats.bags import read_bag
 from runtime.formats.errors import FormatError
 from runtime.formats.laser_log import LaserLog
-from runtime.formats.text import lines_of, open_bytes
+from runtime.formats.text import lines_of
 
 KNOWN = "tinySLAM .dat, CARMEN .clf/.log, Wean .log, ROS 1 or ROS 2 bag, MCAP"
 _BAG_MAGICS = (b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
@@ -39,9 +39,6 @@ def open_log(path: Path, topic: str | None = None) -> LaserLog:
 
 
 def _open_text(path: Path) -> LaserLog:
-    with open_bytes(path) as file:
-        if b"\x00" in file.read(4096):
-            raise FormatError(path, f"not a laser log: binary bytes in it; known: {KNOWN}")
     _, line = next(lines_of(path), (0, ""))
     if not line:
         raise FormatError(path, "only blank lines, must hold at least one scan")

@@ -22,6 +22,7 @@ from runtime.formats.laser_log import (
     stamp_notices,
 )
 
+MAX_LINE_BYTES = 1 << 20
 _MAX_STAMP_NS = 2**62
 
 
@@ -41,7 +42,14 @@ def lines_of(path: Path) -> Iterator[tuple[int, str]]:
     number = 0
     try:
         with open_bytes(path) as file:
-            for number, raw in enumerate(file, start=1):
+            # A limit, so that a huge file without line ends is refused and not swallowed.
+            for number, raw in enumerate(iter(lambda: file.readline(MAX_LINE_BYTES), b""), start=1):
+                if len(raw) >= MAX_LINE_BYTES:
+                    raise FormatError(
+                        path, f"a line of more than {MAX_LINE_BYTES} bytes, no laser log", number
+                    )
+                if b"\x00" in raw:
+                    raise FormatError(path, "not text: binary bytes in it", number)
                 line = raw.decode("ascii", errors="strict").strip()
                 if line:
                     yield number, line
