@@ -5,7 +5,6 @@ warms up its core before any other process counts on its answers: compiling hold
 than a link may be silent.
 """
 
-import gc
 import logging
 import os
 import threading
@@ -14,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from runtime import messages
+from runtime import messages, realtime
 from runtime.bus import Bus, Handle, Publisher
 from runtime.clock import Clock
 from runtime.inbox import Inbox
@@ -130,8 +129,7 @@ class BusPort:
         if self._is_ready:
             return
         bus = self._connected()
-        gc.collect()
-        gc.freeze()  # what the start allocated is never looked at again
+        realtime.settle()
         self._is_ready = True
         self._tokens.append(bus.token(messages.node_token(bus.zid, self.robot, self.name, self.domain)))
         if self._state[1] == "starting":
@@ -228,3 +226,11 @@ def own_usage() -> dict[str, object]:
         "rss_mb": f"{pages * os.sysconf('SC_PAGE_SIZE') / 1e6:.1f}",
         "cpu_s": f"{time.process_time():.2f}",
     }
+
+
+if __name__ == "__main__":
+    import sys
+
+    from runtime.process import main
+
+    sys.exit(main())

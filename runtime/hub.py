@@ -1,0 +1,45 @@
+"""The hub: introduces the processes of a robot to each other, and visitors to all of them.
+
+`python -m runtime.hub --run-dir DIR`. It carries nothing between local processes once they know each other,
+so that it may die and come back without a gap.
+"""
+
+import argparse
+import logging
+import os
+import signal
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+from runtime import links, realtime
+from runtime.errors import HallwayError
+from runtime.process import PARENT_VARIABLE, log_to_stderr
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Stand there until asked to stop."""
+    parent = os.environ.get(PARENT_VARIABLE)
+    if parent:
+        realtime.die_with_parent(int(parent))
+    parser = argparse.ArgumentParser(prog="runtime.hub", description=__doc__)
+    parser.add_argument("--run-dir", type=Path, required=True)
+    args = parser.parse_args(argv)
+    log_to_stderr()
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    from runtime.bus_zenoh import ZenohBus
+
+    try:
+        with ZenohBus(links.hub(args.run_dir)):
+            stop.wait()
+    except HallwayError as error:
+        logging.getLogger("hub").error("%s", error)
+        return error.exit_code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

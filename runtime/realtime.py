@@ -1,0 +1,82 @@
+"""What a process asks of the kernel: to die with its parent, to be scheduled first, to stay on its cores.
+
+Everything here is a wish: where the kernel says no, the process warns once and goes on.
+"""
+
+import contextlib
+import ctypes
+import gc
+import logging
+import os
+import signal
+import sys
+from collections.abc import Sequence
+
+_PR_SET_PDEATHSIG = 1
+_SWITCH_S = 0.001
+"""How long one thread may hold the interpreter while another waits; a message should not wait for 5 ms."""
+
+THREAD_LIMITS = {
+    "NUMBA_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+}
+"""Environment of every process: a robot's cores are shared by processes, not by hidden thread pools."""
+
+
+def die_with_parent(parent_pid: int | None = None) -> None:
+    """Get SIGTERM when the parent goes, however it goes; leave at once if it has gone already."""
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if parent_pid is not None and os.getppid() != parent_pid:
+        sys.exit(1)
+
+
+def schedule(log: logging.Logger, *, priority: int = 0, nice: int = 0, cores: Sequence[int] = ()) -> None:
+    """Set this process's scheduling; threads made later inherit it, so call it before the bus is opened.
+
+    Args:
+        log: Gets one warning if the kernel refuses something.
+        priority: Of SCHED_FIFO, 1 .. 99; 0 for the ordinary scheduler.
+        nice: Added niceness for the ordinary scheduler.
+        cores: CPU numbers to stay on; all if empty.
+    """
+    sys.setswitchinterval(_SWITCH_S)
+    refused: list[str] = []
+    if priority:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        except OSError as error:
+            refused.append(f"SCHED_FIFO {priority} ({error.strerror})")
+    elif nice:
+        try:
+            os.nice(nice)
+        except OSError as error:
+            refused.append(f"nice {nice} ({error.strerror})")
+    if cores:
+        try:
+            os.sched_setaffinity(0, set(cores))
+        except (OSError, ValueError) as error:
+            refused.append(f"cores {list(cores)} ({error})")
+    if refused:
+        log.warning("the kernel refuses %s; running without", ", ".join(refused))
+
+
+def settle() -> None:
+    """Take what the start allocated out of the collector's sight; call after warm-up."""
+    gc.collect()
+    gc.freeze()
+
+
+def notify_init(text: str) -> bool:
+    """Tell systemd `READY=1`, `WATCHDOG=1` or `STATUS=...`; False where nobody listens."""
+    import socket
+
+    address = os.environ.get("NOTIFY_SOCKET")
+    if not address:
+        return False
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line, contextlib.suppress(OSError):
+        line.connect("\0" + address[1:] if address.startswith("@") else address)
+        line.sendall(text.encode())
+        return True
+    return False

@@ -1,0 +1,79 @@
+"""The directory of a running robot: its sockets and device links, for its owner's eyes only.
+
+One directory for each robot's name, locked while its supervisor lives; whoever wants to look at a running
+robot finds it by that name.
+"""
+
+import contextlib
+import fcntl
+import os
+import shutil
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+from runtime.errors import ConfigError, HallwayError
+
+_VARIABLE = "HALLWAY_RUN"
+
+
+class NotRunningError(HallwayError):
+    """No robot of that name runs here."""
+
+
+def base_dir() -> Path:
+    """Return where the directories of all robots are."""
+    if named := os.environ.get(_VARIABLE):
+        return Path(named)
+    if home := os.environ.get("XDG_RUNTIME_DIR"):
+        return Path(home) / "hallway"
+    return Path(f"/tmp/hallway-{os.getuid()}")
+
+
+def run_dir(robot: str) -> Path:
+    """Return the directory of one robot, whether or not it runs."""
+    return base_dir() / robot
+
+
+def running(robot: str) -> Path:
+    """Return the directory of a robot that runs.
+
+    Raises:
+        NotRunningError: It does not; the text names those that do.
+    """
+    path = run_dir(robot)
+    if not (path / "hub.sock").exists():
+        others = sorted(p.parent.name for p in base_dir().glob("*/hub.sock")) if base_dir().is_dir() else []
+        raise NotRunningError(f"robot {robot!r} does not run here; running: {', '.join(others) or 'none'}")
+    return path
+
+
+@contextlib.contextmanager
+def claimed(robot: str) -> Iterator[Path]:
+    """Make the directory of a robot, empty and locked; take it away afterwards.
+
+    Raises:
+        ConfigError: The robot runs already, or the directory belongs to somebody else.
+    """
+    path = run_dir(robot)
+    for part in (base_dir(), path):
+        part.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = part.lstat()
+        if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
+            raise ConfigError(f"{part}: must be a directory of user {os.getuid()}, and is not")
+        part.chmod(0o700)
+    lock = os.open(base_dir() / f"{robot}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            pid = os.pread(lock, 32, 0).decode().strip() or "?"
+            raise ConfigError(f"robot {robot!r} runs already, under process {pid}") from None
+        os.ftruncate(lock, 0)
+        os.pwrite(lock, f"{os.getpid()}\n".encode(), 0)
+        for old in path.iterdir():  # left behind by a run that was killed
+            shutil.rmtree(old) if old.is_dir() and not old.is_symlink() else old.unlink()
+        yield path
+        shutil.rmtree(path, ignore_errors=True)
+    finally:
+        os.close(lock)
