@@ -1,0 +1,133 @@
+"""Compiled inner loops of the wide search: blurring, window maxima, branch and bound.
+
+Arrays and scalars in, results into given arrays; nothing is checked here: `wide_match` does that once.
+"""
+
+import numpy as np
+from numba import njit
+
+
+@njit("void(f8[:,::1], f8, f8, f8, f8, f4[:,::1])", cache=True, nogil=True)
+def blur(points, x0, y0, resolution, sigma, field):
+    """Raise `field` (rows, cols) to a Gaussian around every point; the highest at each cell stays."""
+    rows, cols = field.shape
+    reach = int(np.ceil(3.0 * sigma / resolution))
+    for i in range(points.shape[0]):
+        px, py = (points[i, 0] - x0) / resolution - 0.5, (points[i, 1] - y0) / resolution - 0.5
+        col0, row0 = int(np.round(px)), int(np.round(py))
+        for row in range(max(row0 - reach, 0), min(row0 + reach + 1, rows)):
+            for col in range(max(col0 - reach, 0), min(col0 + reach + 1, cols)):
+                d2 = ((col - px) ** 2 + (row - py) ** 2) * resolution * resolution
+                value = np.float32(np.exp(-0.5 * d2 / (sigma * sigma)))
+                if value > field[row, col]:
+                    field[row, col] = value
+
+
+@njit("void(f4[:,:,::1])", cache=True, nogil=True)
+def raise_pyramid(levels):
+    """Fill levels 1.. from level 0: each the maximum of four shifted copies of the one below."""
+    count, rows, cols = levels.shape
+    for level in range(1, count):
+        step = 1 << (level - 1)
+        below, here = levels[level - 1], levels[level]
+        for row in range(rows):
+            up = min(row + step, rows - 1)
+            for col in range(cols):
+                right = min(col + step, cols - 1)
+                a = max(below[row, col], below[row, right])
+                b = max(below[up, col], below[up, right])
+                here[row, col] = max(a, b)
+
+
+@njit("f8(f4[:,::1], i8[:,::1], i8, i8)", cache=True, nogil=True)
+def mean_at(field, cells, shift_col, shift_row):
+    """Mean of a level of the field under the cells (N, 2) moved by whole cells; 0 outside."""
+    rows, cols = field.shape
+    total = 0.0
+    for i in range(cells.shape[0]):
+        col, row = cells[i, 0] + shift_col, cells[i, 1] + shift_row
+        if 0 <= row < rows and 0 <= col < cols:
+            total += field[row, col]
+    return total / cells.shape[0]
+
+
+@njit("f8(f4[:,:,::1], i8, i8[:,::1], i8, i8)", cache=True, nogil=True)
+def bound_at(levels, level, cells, shift_col, shift_row):
+    """Mean of window maxima; windows that begin outside the field but reach into it count by their border."""
+    field = levels[level]
+    rows, cols = field.shape
+    reach = (1 << level) - 1
+    total = 0.0
+    for i in range(cells.shape[0]):
+        col, row = cells[i, 0] + shift_col, cells[i, 1] + shift_row
+        if -reach <= row < rows and -reach <= col < cols:
+            total += field[max(row, 0), max(col, 0)]
+    return total / cells.shape[0]
+
+
+@njit("b1(f8, f8, f8, f8[::1], f8, f8)", cache=True, nogil=True)
+def neighbours(x, y, yaw, place, apart_m, apart_rad):
+    """Whether a pose belongs to the same place as another."""
+    turn = (yaw - place[2] + np.pi) % (2.0 * np.pi) - np.pi
+    return (x - place[0]) ** 2 + (y - place[1]) ** 2 < apart_m * apart_m and abs(turn) < apart_rad
+
+
+@njit(
+    "b1(f4[:,:,::1], f8, f8, f8, f8[:,::1], f8[::1], f8, i8, i8, f8, f8[::1], f8, f8, f8[::1])",
+    cache=True,
+    nogil=True,
+)
+def branch_and_bound(
+    levels, x0, y0, resolution, points, guess, turn, turns, reach, least, shunned, apart_m, apart_rad, found
+):
+    """Write the best (x, y, yaw, score) of the window into `found`; False when nothing passes `least`.
+
+    Rotations are walked from the guess outwards; for each, the translations are a tree of squares whose
+    bound is the pyramid. Places that neighbour `shunned` are passed over.
+    """
+    count = points.shape[0]
+    top = levels.shape[0] - 1
+    while top > 0 and (1 << top) > 2 * reach + 1:
+        top -= 1
+    cells = np.empty((count, 2), dtype=np.int64)
+    stack = np.empty((4 * (top + 1) + 4, 3), dtype=np.int64)
+    side = 1 << top
+    across = (2 * reach + side) // side
+    bounds = np.empty(across * across)
+    best, any_found = least, False
+    for k in range(2 * turns + 1):
+        yaw = guess[2] + turn * ((k + 1) // 2) * (1.0 if k % 2 else -1.0)
+        c, s = np.cos(yaw), np.sin(yaw)
+        for i in range(count):
+            px, py = points[i, 0], points[i, 1]
+            cells[i, 0] = int(np.floor((c * px - s * py + guess[0] - x0) / resolution))
+            cells[i, 1] = int(np.floor((s * px + c * py + guess[1] - y0) / resolution))
+        for node in range(across * across):
+            col, row = -reach + side * (node % across), -reach + side * (node // across)
+            bounds[node] = bound_at(levels, top, cells, col, row)
+        for node in np.argsort(-bounds):
+            if bounds[node] <= best:
+                break
+            stack[0, 0], stack[0, 1] = -reach + side * (node % across), -reach + side * (node // across)
+            stack[0, 2] = top
+            depth = 1
+            while depth > 0:
+                depth -= 1
+                col, row, level = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+                score = bound_at(levels, level, cells, col, row)
+                if score <= best:
+                    continue
+                if level == 0:
+                    x, y = guess[0] + col * resolution, guess[1] + row * resolution
+                    inside = abs(col) <= reach and abs(row) <= reach
+                    if inside and not neighbours(x, y, yaw, shunned, apart_m, apart_rad):
+                        best, any_found = score, True
+                        found[0], found[1], found[2], found[3] = x, y, yaw, score
+                    continue
+                half = 1 << (level - 1)
+                for child in range(4):
+                    stack[depth, 0] = col + half * (child % 2)
+                    stack[depth, 1] = row + half * (child // 2)
+                    stack[depth, 2] = level - 1
+                    depth += 1
+    return any_found

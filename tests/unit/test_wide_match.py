@@ -1,0 +1,100 @@
+"""The wide search finds the best place of a whole window, and says when another is as good."""
+
+import numpy as np
+import pytest
+
+from processing.se2 import compose, invert, transform
+from processing.wide_match import LEVELS, build_field, search
+
+
+def walls(*segments, spacing_m=0.04):
+    parts = []
+    for start, end in segments:
+        a, b = np.array(start, float), np.array(end, float)
+        steps = np.linspace(0.0, 1.0, int(np.linalg.norm(b - a) / spacing_m) + 1)[:, None]
+        parts.append(a + steps * (b - a))
+    return np.vstack(parts)
+
+
+CORNERS = ((0, 0), (10, 0), (10, 6), (4, 6), (4, 4), (0, 4), (0, 0))
+ROOM = walls(*zip(CORNERS[:-1], CORNERS[1:], strict=True), ((6, 2), (7, 3)))
+
+
+def seen_from(pose, points, count, seed=0):
+    rng = np.random.default_rng(seed)
+    some = points[rng.permutation(len(points))[:count]]
+    return transform(invert(pose), some) + rng.normal(0.0, 0.01, (count, 2))
+
+
+@pytest.mark.parametrize("off", [(2.4, -1.9, 0.3), (-2.9, 2.2, -0.45), (0.0, 0.0, 0.0)])
+def test_a_place_far_from_the_guess_is_found(off):
+    truth = np.array((3.0, 2.0, 0.7))
+    field = build_field(ROOM, 0.05, 0.1, 0.5)
+    found = search(field, seen_from(truth, ROOM, 250), truth + off, 3.0, 0.5, 0.5)
+    assert found is not None
+    assert np.abs(found.best.map_t_points[:2] - truth[:2]).max() <= 0.06
+    assert abs(found.best.map_t_points[2] - truth[2]) < 0.02
+    assert found.rival is None or found.rival.score < 0.8 * found.best.score
+
+
+def test_a_corridor_has_a_rival_along_itself():
+    corridor = walls(((0, 0), (30, 0)), ((0, 2), (30, 2)))
+    field = build_field(corridor, 0.05, 0.1, 0.5)
+    window = corridor[(corridor[:, 0] > 13) & (corridor[:, 0] < 17)]
+    truth = np.array((15.0, 1.0, 0.0))
+    found = search(field, seen_from(truth, window, 150), truth, 2.0, 0.2, 0.5)
+    assert found is not None
+    assert found.rival is not None
+    assert found.rival.score > 0.97 * found.best.score
+
+
+def test_the_best_of_the_window_equals_the_best_of_every_cell():
+    rng = np.random.default_rng(4)
+    field = build_field(rng.uniform(0, 4, (60, 2)), 0.1, 0.15, 0.3)
+    points = rng.uniform(-1.5, 1.5, (40, 2))
+    guess = np.array((2.0, 2.0, 0.4))
+    found = search(field, points, guess, 1.0, 0.3, 0.0)
+    turn = 0.1 / max(float(np.linalg.norm(points, axis=1).max()), 1.0)
+    best = 0.0
+    for k in range(-int(np.ceil(0.3 / turn)), int(np.ceil(0.3 / turn)) + 1):
+        moved = transform(np.array((guess[0], guess[1], guess[2] + k * turn)), points)
+        cells = np.floor((moved - field.origin_m) / 0.1).astype(int)
+        for row in range(-10, 11):
+            for col in range(-10, 11):
+                at = cells + np.array((col, row))
+                inside = (at >= 0).all(axis=1) & (at < field.levels.shape[:0:-1]).all(axis=1)
+                best = max(best, field.levels[0][at[inside, 1], at[inside, 0]].sum() / len(points))
+    assert found is not None
+    assert found.best.score == pytest.approx(best, abs=1e-6)
+
+
+def test_every_level_bounds_the_cells_under_it():
+    field = build_field(ROOM, 0.1, 0.1, 0.5)
+    for level in range(1, LEVELS):
+        side = 2**level
+        row, col = 12, 31
+        window = field.levels[0][row : row + side, col : col + side]
+        assert field.levels[level][row, col] == window.max()
+
+
+def test_nothing_is_found_where_nothing_fits():
+    field = build_field(ROOM, 0.05, 0.1, 0.5)
+    cloud = np.random.default_rng(2).uniform(-3, 3, (200, 2))
+    assert search(field, cloud, np.array((5.0, 3.0, 0.0)), 1.0, 0.3, 0.6) is None
+
+
+def test_a_map_without_points_is_refused():
+    with pytest.raises(ValueError, match="0 points"):
+        build_field(np.empty((0, 2)), 0.05, 0.1, 0.5)
+
+
+def test_the_answer_moves_with_the_map():
+    truth, shift = np.array((3.0, 2.0, 0.7)), np.array((-8.0, 4.0, 0.0))
+    points = seen_from(truth, ROOM, 250)
+    here = search(build_field(ROOM, 0.05, 0.1, 0.5), points, truth, 1.0, 0.2, 0.5)
+    there = search(
+        build_field(transform(shift, ROOM), 0.05, 0.1, 0.5), points, compose(shift, truth), 1.0, 0.2, 0.5
+    )
+    assert here is not None
+    assert there is not None
+    np.testing.assert_allclose(compose(shift, here.best.map_t_points), there.best.map_t_points, atol=0.051)
