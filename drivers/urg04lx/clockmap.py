@@ -1,8 +1,8 @@
 """Sensor time to host time: when was a scan really taken?
 
 The sensor stamps a scan with its own counter, and its first byte arrives a constant latency later, plus
-whatever delays there are.  Delays are never negative, so the lower envelope of (arrival - stamp) over the last
-seconds, a line because the two clocks drift apart, is the offset between the clocks plus the latency.
+whatever delays there are.  Delays are never negative, so the lower envelope of (arrival - stamp) over the
+last seconds, a line because the clocks drift apart, is the offset between the clocks plus the latency.
 
 Law: a stamp is never guessed.  A scan that fits the line badly is held back until the next ones tell whether
 it was late (the line holds), its stamp is wrong (it is dropped), or a clock has jumped (a new line begins).

@@ -151,7 +151,7 @@ class Decoder:
         return reply
 
     def _later_starts(self, block: bytes, start: int) -> list[int]:
-        """Where a reply may begin inside a damaged block: our echo anywhere, others on a line of their own."""
+        """Where a reply may begin in a damaged block: our echo anywhere, others on a line of their own."""
         starts = []
         if self._layout:
             at = block.find(self._layout.echo, start + 1)
