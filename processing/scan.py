@@ -35,9 +35,14 @@ class Beams:
         if not 0.0 <= self.range_min_m < self.range_max_m:
             raise ValueError(f"ranges {self.range_min_m} .. {self.range_max_m} m, must be 0 <= min < max")
 
+    @property
+    def sweep_s(self) -> float:
+        """Time from the first ray to the last."""
+        return self.time_increment_s * (self.count - 1)
+
     def bearings(self) -> NDArray[np.float64]:
-        """Return the direction of each ray, (count,) rad, laser frame, counter-clockwise from straight ahead."""
-        return self.angle_min_rad + self.angle_increment_rad * np.arange(self.count)
+        """Return the direction of each ray: (count,) rad, laser frame, counter-clockwise from ahead."""
+        return self.angle_min_rad + self.angle_increment_rad * np.arange(self.count, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,3 +57,38 @@ class Scan:
     def __post_init__(self) -> None:
         if self.ranges_m.shape != (self.beams.count,):
             raise ValueError(f"{self.ranges_m.shape} ranges, must be ({self.beams.count},)")
+
+
+def end_points(
+    scan: Scan, twist: NDArray[np.float64], instant_s: float = 0.0, range_max_m: float = np.inf
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Turn a sweep into points as they lie seen from the laser at one instant of it.
+
+    A range of NaN, infinity, zero, under the sensor's least or over its greatest is not a point.
+
+    Args:
+        scan: The sweep.
+        twist: (3,) velocity of the laser in its own frame at that instant, m/s, m/s, rad/s; held over the
+            sweep.
+        instant_s: Time of that instant after the first ray.
+        range_max_m: Leave out farther points than this, too.
+
+    Returns:
+        (M, 2) points, m, and (M,) the numbers of their rays, rising.
+    """
+    ranges = scan.ranges_m.astype(np.float64)
+    farthest = min(range_max_m, scan.beams.range_max_m)
+    with np.errstate(invalid="ignore"):
+        kept = np.flatnonzero((ranges >= scan.beams.range_min_m) & (ranges <= farthest) & (ranges > 0.0))
+    bearing = scan.beams.bearings()[kept]
+    x, y = ranges[kept] * np.cos(bearing), ranges[kept] * np.sin(bearing)
+    after_s = kept * scan.beams.time_increment_s - instant_s
+    angle = twist[2] * after_s
+    # The path of a constant twist: along = sin(a)/w and across = (1 - cos(a))/w of the velocity, without
+    # the 0/0.
+    along = after_s * np.sinc(angle / np.pi)
+    across = 0.5 * angle * after_s * np.sinc(0.5 * angle / np.pi) ** 2
+    c, s = np.cos(angle), np.sin(angle)
+    moved_x = c * x - s * y + along * twist[0] - across * twist[1]
+    moved_y = s * x + c * y + across * twist[0] + along * twist[1]
+    return np.column_stack((moved_x, moved_y)), kept

@@ -1,0 +1,140 @@
+"""A scan against a reference: the most probable pose, given the score of the scan and what the motion says.
+
+Differential evolution searches a box on the sampled score, Newton's method polishes on the exact one. Weighed
+together they are a log-posterior: weight * score + log prior.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.evolution import EvolutionConfig, random_state
+from processing.matching_kernels import polish, search
+from processing.ndt import Ndt, Points
+from processing.prediction import Prior
+from processing.se2 import Pose, wrap
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatchingConfig:
+    """Search, polish, and how much they trust the scan against the motion."""
+
+    search: EvolutionConfig = field(default_factory=EvolutionConfig)
+    window_m: float = 0.3
+    """Half side of the searched box around the prior."""
+    window_rad: float = 0.4
+    polish: bool = True
+    score_weight: float = 0.3
+    """Log-likelihood of one point that fits. Under 1, as neighbouring points err alike."""
+    freedom: float = 4.0
+    """Degrees of freedom of the motion prior in the search: few forgive what the filter did not foresee."""
+    coarse_deviation_m: float = 0.03
+    """The polish starts with cells widened by this, and ends with the cells as they are."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.window_m <= 20.0:
+            raise ValueError(f"window_m = {self.window_m}, must be in (0, 20]")
+        if not 0.0 < self.window_rad <= np.pi:
+            raise ValueError(f"window_rad = {self.window_rad}, must be in (0, pi]")
+        if not 0.0 < self.score_weight <= 10.0:
+            raise ValueError(f"score_weight = {self.score_weight}, must be in (0, 10]")
+        if not self.freedom > 0.0:
+            raise ValueError(f"freedom = {self.freedom}, must be positive")
+        if not 0.0 <= self.coarse_deviation_m <= 1.0:
+            raise ValueError(f"coarse_deviation_m = {self.coarse_deviation_m}, must be in [0, 1]")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matching:
+    """Where a scan fits a reference."""
+
+    pose: Pose
+    """(3,) of the scan in the reference's frame."""
+    score: float
+    """Mean point score at the pose, 0 (nothing fits) to 1 (every point in the middle of its cells)."""
+    hessian: Matrix
+    """(3, 3) of the weighted score at the pose, reference axes."""
+    information: Matrix
+    """(3, 3) Gauss-Newton information of the weighted score, reference axes; without the prior."""
+    generations: int
+    evaluations: int
+    polish_steps: int
+
+
+class Matcher:
+    """Matches scans against references; its random numbers go on from match to match."""
+
+    def __init__(self, config: MatchingConfig, seed: int = 0) -> None:
+        self.config = config
+        self._state = random_state(seed)
+        size = config.search.population
+        self._population = np.empty((size, 3))
+        self._values = np.empty(size + 2)
+        self._rule = config.search.rule()
+        self._blurs = np.array((config.coarse_deviation_m**2, 0.0))
+        self._curvature = np.empty((2, 3, 3))
+        self._report = np.zeros(3)
+
+    def match(
+        self, points: Points, reference: Ndt, prior: Prior, window: NDArray[np.float64] | None = None
+    ) -> Matching:
+        """Find the most probable pose of points (N, 2) in the reference.
+
+        `window` (3,): half sides of the searched box, if other than the configured ones.
+        """
+        config = self.config
+        given = np.empty(14)
+        given[:3] = prior.pose
+        given[3:12] = prior.information.ravel()
+        given[12] = config.freedom
+        given[13] = config.score_weight
+        half = np.array((config.window_m, config.window_m, config.window_rad)) if window is None else window
+        bounds = np.stack((prior.pose - half, prior.pose + half))
+        pose = prior.pose.copy()
+        generations = evaluations = 0
+        if config.search.generations > 0 and len(points) > 0:
+            best = search(
+                points,
+                reference.origin,
+                reference.slots,
+                reference.tiles,
+                given,
+                bounds,
+                self._rule,
+                self._population,
+                self._values,
+                self._state,
+            )
+            pose = self._population[best].copy()
+            generations, evaluations = int(self._values[-2]), int(self._values[-1])
+        steps = 0
+        if config.polish:
+            score = polish(
+                points,
+                reference.origin,
+                reference.slots,
+                reference.normals,
+                given,
+                self._blurs,
+                pose,
+                self._curvature,
+                self._report,
+            )
+            steps = int(self._report[0])
+            hessian, information = self._curvature
+        else:
+            found = reference.score(points, pose)
+            score, hessian, information = found.value, found.hessian, found.information
+        pose[2] = wrap(pose[2])
+        return Matching(
+            pose=pose,
+            score=float(score) / max(len(points), 1),
+            hessian=config.score_weight * hessian,
+            information=config.score_weight * information,
+            generations=generations,
+            evaluations=evaluations,
+            polish_steps=steps,
+        )

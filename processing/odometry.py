@@ -1,0 +1,160 @@
+"""Laser odometry: one scan in, one pose out, drifting but smooth.
+
+The filter says where the scan should lie, the sweep is set right by the velocity, resampled, and matched
+against the local map of the last key scans. Poses are of the middle of a sweep inside, where a wrong
+velocity shifts nothing, and of its first ray outside, where the stamp is.
+"""
+
+import enum
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.matching import Matcher, MatchingConfig
+from processing.motion import UNKNOWN_VARIANCE, Motion
+from processing.ndt import Ndt, NdtConfig
+from processing.prediction import ConstantVelocity, PredictionConfig, exponential, turned
+from processing.saliency import Resampler, ResamplingConfig
+from processing.scan import Beams, Scan
+from processing.se2 import Pose, between, compose, snap_yaw, transform
+
+Points = NDArray[np.float64]
+
+
+class Tracking(enum.Enum):
+    """How far the odometry is to be believed."""
+
+    TRACKING = "tracking"
+    DEGENERATE = "degenerate"
+    """One direction is not seen; the motion prior holds there."""
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OdometryConfig:
+    """The odometry and its parts; lengths in metres, angles in radians."""
+
+    reference: Literal["local_map", "key_scan", "previous_scan"] = "local_map"
+    """What a scan is matched against; the paper's is the previous scan."""
+    key_scans: int = 20
+    """Number of the newest key scans in the local map."""
+    key_distance_m: float = 0.2
+    key_angle_rad: float = 0.175
+    """A scan this far from the last key scan becomes one."""
+    deskew: bool = True
+    resampling: ResamplingConfig = field(default_factory=ResamplingConfig)
+    ndt: NdtConfig = field(default_factory=NdtConfig)
+    matching: MatchingConfig = field(default_factory=MatchingConfig)
+    prediction: PredictionConfig = field(default_factory=PredictionConfig)
+
+    def __post_init__(self) -> None:
+        if self.reference not in ("local_map", "key_scan", "previous_scan"):
+            raise ValueError(
+                f"reference = {self.reference!r}, must be 'local_map', 'key_scan' or 'previous_scan'"
+            )
+        if not 1 <= self.key_scans <= 10_000:
+            raise ValueError(f"key_scans = {self.key_scans}, must be in [1, 10000]")
+        if not 0.0 < self.key_distance_m <= 10.0:
+            raise ValueError(f"key_distance_m = {self.key_distance_m}, must be in (0, 10]")
+        if not 0.0 < self.key_angle_rad <= np.pi:
+            raise ValueError(f"key_angle_rad = {self.key_angle_rad}, must be in (0, pi]")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """What one scan told."""
+
+    motion: Motion
+    state: Tracking
+    blind_rad: float | None
+    """Direction, laser frame, in which the scan says nothing; None if there is none."""
+    score: float
+    """Mean point score, 0 to 1."""
+    points_laser: Points
+    """(M, 2) the points that were matched, as seen from the first ray."""
+    key: bool
+    """Whether the scan became part of the local map."""
+    evaluations: int
+    """Poses that the search tried."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _KeyScan:
+    odom_t_laser: Pose
+    points_odom: Points
+
+
+class LaserOdometry:
+    """Follows the laser from scan to scan."""
+
+    def __init__(self, config: OdometryConfig, seed: int = 0) -> None:
+        self.config = config
+        self._beams: Beams | None = None
+        self._matcher = Matcher(config.matching, seed)
+        self._filter = ConstantVelocity(config.prediction)
+        self._reference = Ndt(config.ndt)
+        self._keys: list[_KeyScan] = []
+
+    def step(self, scan: Scan) -> Match:
+        """Match the next scan; raises ValueError if it has other beams than the first."""
+        resampler, middle_s = self._prepare(scan)
+        first = not self._keys
+        prior = None if first else self._filter.advance(scan.beams.period_s)
+        twist = self._filter.twist if self.config.deskew else np.zeros(3)
+        resampler.points(scan, twist, middle_s)
+        points = resampler.means()
+        score, evaluations = 0.0, 0
+        if prior is not None and len(points) > 0:
+            matching = self._matcher.match(points, self._reference, prior)
+            self._filter.correct(matching.pose, turned(matching.information, -matching.pose[2]))
+            score, evaluations = matching.score, matching.evaluations
+        key = len(points) > 0 and self._is_key()
+        if key:
+            self._remember(points)
+        return Match(
+            motion=self._motion(scan, middle_s, lost=len(points) == 0 and not first),
+            state=Tracking.TRACKING if len(points) > 0 else Tracking.LOST,
+            blind_rad=None,
+            score=score,
+            points_laser=transform(exponential(self._filter.twist * middle_s), points),
+            key=key,
+            evaluations=evaluations,
+        )
+
+    def _prepare(self, scan: Scan) -> tuple[Resampler, float]:
+        """Learn the beams from the first scan, and hold every other scan to them."""
+        if self._beams is None:
+            self._beams = scan.beams
+            self._resampler = Resampler(self.config.resampling, scan.beams)
+        elif scan.beams.count != self._beams.count:
+            raise ValueError(
+                f"scan of {scan.beams.count} beams, must be {self._beams.count} as the first scan"
+            )
+        return self._resampler, 0.5 * scan.beams.sweep_s if self.config.deskew else 0.0
+
+    def _is_key(self) -> bool:
+        if not self._keys or self.config.reference == "previous_scan":
+            return True
+        moved = between(self._keys[-1].odom_t_laser, self._filter.pose)
+        return bool(
+            np.hypot(moved[0], moved[1]) >= self.config.key_distance_m
+            or abs(moved[2]) >= self.config.key_angle_rad
+        )
+
+    def _remember(self, points: Points) -> None:
+        """Put the scan into the local map, and drop what is too old."""
+        kept = self.config.key_scans if self.config.reference == "local_map" else 1
+        self._keys.append(_KeyScan(self._filter.pose.copy(), transform(self._filter.pose, points)))
+        del self._keys[:-kept]
+        self._reference.build(np.concatenate([key.points_odom for key in self._keys]))
+
+    def _motion(self, scan: Scan, middle_s: float, lost: bool) -> Motion:
+        covariance = np.diag((UNKNOWN_VARIANCE,) * 3) if lost else self._filter.covariance[:3, :3].copy()
+        return Motion(
+            stamp_ns=scan.stamp_ns,
+            odom_t_laser=snap_yaw(compose(self._filter.pose, exponential(-self._filter.twist * middle_s))),
+            covariance=covariance,
+            twist=self._filter.twist.copy(),
+        )

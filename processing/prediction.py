@@ -1,0 +1,136 @@
+"""A constant-velocity filter: where the next scan should be, and how far it may be from there.
+
+State: pose of the laser in the odometry frame, and its twist; errors of both are kept in the laser's own
+frame. It never sees a clock: the time between two scans is the sensor's own period, because arrival stamps
+jitter by half a period, and a velocity divided by such a time throws the track off.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.se2 import Pose, between, compose, invert
+
+Twist = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PredictionConfig:
+    """How fast a robot, or a hand, changes its velocity."""
+
+    acceleration: float = 1.0
+    """Standard deviation of the change of velocity in one second, m/s."""
+    turning: float = 3.0
+    """The same of the turn rate, rad/s."""
+    speed_m_s: float = 0.3
+    """Standard deviation of the velocity when nothing is known of it; the start is taken to be at rest."""
+    turn_rate_rad_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("acceleration", "turning", "speed_m_s", "turn_rate_rad_s"):
+            if not 0.0 < getattr(self, name) <= 100.0:
+                raise ValueError(f"{name} = {getattr(self, name)}, must be in (0, 100]")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """What the motion so far says of a pose: a normal around `pose`."""
+
+    pose: Pose
+    """(3,) odometry frame."""
+    information: Matrix
+    """(3, 3) inverse covariance, on the axes of the odometry frame."""
+
+
+def exponential(twist: Twist) -> Pose:
+    """Return the pose reached after one unit of time at a constant twist (3,)."""
+    a = twist[2]
+    along = np.sinc(a / np.pi)
+    across = 0.5 * a * np.sinc(0.5 * a / np.pi) ** 2
+    return np.array((along * twist[0] - across * twist[1], across * twist[0] + along * twist[1], a))
+
+
+def logarithm(pose: Pose) -> Twist:
+    """Return the twist that reaches `pose` (3,) in one unit of time; the inverse of `exponential`."""
+    half = 0.5 * pose[2]
+    k = 1.0 if abs(half) < 1e-9 else half / np.tan(half)
+    return np.array((k * pose[0] + half * pose[1], k * pose[1] - half * pose[0], pose[2]))
+
+
+def adjoint(a_t_b: Pose) -> Matrix:
+    """Return the matrix that carries small motions (3,) in frame b to frame a."""
+    c, s = np.cos(a_t_b[2]), np.sin(a_t_b[2])
+    return np.array(((c, -s, a_t_b[1]), (s, c, -a_t_b[0]), (0.0, 0.0, 1.0)))
+
+
+def turned(matrix: Matrix, yaw_rad: float) -> Matrix:
+    """Express a (3, 3) matrix of x, y, yaw on axes that are turned back by `yaw_rad`: R M R^T."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    rotation = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+    return np.asarray(rotation @ matrix @ rotation.T)
+
+
+class ConstantVelocity:
+    """Pose and twist of the laser with their covariance (6, 6), in the laser's frame."""
+
+    def __init__(self, config: PredictionConfig) -> None:
+        self._config = config
+        self.pose: Pose = np.zeros(3)
+        self.twist: Twist = np.zeros(3)
+        self.covariance: Matrix = np.zeros((6, 6))
+        self.forget_velocity()
+
+    def forget_velocity(self) -> None:
+        """Return to rest, with the doubt of a start."""
+        c = self._config
+        self.twist = np.zeros(3)
+        self.covariance[:] = 0.0
+        self.covariance[range(6), range(6)] = (
+            *(1e-8,) * 3,
+            c.speed_m_s**2,
+            c.speed_m_s**2,
+            c.turn_rate_rad_s**2,
+        )
+
+    def advance(self, duration_s: float) -> Prior:
+        """Move on by a time; return what is expected there."""
+        c = self._config
+        motion = exponential(self.twist * duration_s)
+        self.pose = compose(self.pose, motion)
+        step = np.eye(6)
+        step[:3, :3] = adjoint(invert(motion))
+        step[:3, 3:] = duration_s * np.eye(3)
+        noise = np.array((c.acceleration**2, c.acceleration**2, c.turning**2))
+        # Velocity is a random walk; the pose integrates it.
+        covariance = step @ self.covariance @ step.T
+        i = np.arange(3)
+        covariance[i, i] += noise * duration_s**3 / 3.0
+        covariance[i, i + 3] += noise * duration_s**2 / 2.0
+        covariance[i + 3, i] += noise * duration_s**2 / 2.0
+        covariance[i + 3, i + 3] += noise * duration_s
+        self.covariance = covariance
+        return Prior(
+            self.pose, turned(np.asarray(np.linalg.inv(covariance[:3, :3]), np.float64), self.pose[2])
+        )
+
+    def correct(self, pose: Pose, information_laser: Matrix) -> Twist:
+        """Take the pose (3,) found by matching, prior included; return how far it is from the expected one.
+
+        Args:
+            pose: Most probable pose given the prior and the scan, odometry frame.
+            information_laser: (3, 3) information of the scan alone, on the laser's axes.
+        """
+        innovation = logarithm(between(self.pose, pose))
+        expected = self.covariance[:3, :3]
+        inverse = np.linalg.inv(expected)
+        found = np.linalg.inv(inverse + information_laser)
+        # The pose is given, so the twist follows it by their correlation, and the covariance shrinks by as
+        # much.
+        gain = self.covariance[:, :3] @ inverse
+        self.twist = self.twist + gain[3:] @ innovation
+        self.covariance = self.covariance - gain @ (expected - found) @ gain.T
+        self.covariance = 0.5 * (self.covariance + self.covariance.T)
+        self.pose = pose
+        return innovation

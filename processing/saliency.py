@@ -1,0 +1,96 @@
+"""Saliency-based resampling of scan points (after Tomono, IROS 2005): few points, all corners.
+
+A point tells little on a long straight wall and much where the contour bends or is short. Saliency grows
+along the contour with its length, and faster in bends and on short pieces; stretches of equal saliency
+become one point each, the mean of theirs. Means, because a picked point carries its noise, and because
+points picked by the way between noisy points are those that the noise pushed outward, which turns every
+match to the same side.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.saliency_kernels import end_points, resample
+from processing.scan import Beams, Scan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResamplingConfig:
+    """How many points a match works on, and what counts as salient."""
+
+    points: int = 134
+    """Wanted number (the paper's, in a corridor); 0 keeps every point."""
+    max_slant: float = 6.0
+    """Neighbouring rays belong to one surface up to this stretch of their distance: 6 is a slant of 80
+    degrees."""
+    range_noise_m: float = 0.02
+    """Standard deviation of a range; three of them are no gap between surfaces."""
+    bend_support_m: float = 0.15
+    """Length of contour each side over which its direction is read."""
+    bend_weight: float = 4.0
+    """Saliency of a right angle, in lengths of straight contour."""
+    short_weight: float = 2.0
+    """Saliency of a vanishing piece, in lengths of straight contour."""
+    short_m: float = 0.5
+    """Length at which a piece is half as short as can be."""
+
+    def __post_init__(self) -> None:
+        if self.points != 0 and not 10 <= self.points <= 10_000:
+            raise ValueError(f"points = {self.points}, must be 0 (all) or in [10, 10000]")
+        for name in ("max_slant", "range_noise_m", "bend_support_m", "short_m"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} = {getattr(self, name)}, must be positive")
+        for name in ("bend_weight", "short_weight"):
+            if not getattr(self, name) >= 0.0:
+                raise ValueError(f"{name} = {getattr(self, name)}, must not be negative")
+
+
+class Resampler:
+    """Turns the sweeps of one scanner into points, all and resampled; its buffers are kept between sweeps."""
+
+    def __init__(self, config: ResamplingConfig, beams: Beams) -> None:
+        bearings = beams.bearings()
+        self.beams = beams
+        self._wanted = config.points
+        self._directions = np.column_stack((np.cos(bearings), np.sin(bearings)))
+        self._rule = np.array(
+            (
+                config.max_slant,
+                config.range_noise_m,
+                config.bend_support_m,
+                config.bend_weight,
+                config.short_weight,
+                config.short_m,
+            )
+        )
+        self._points = np.empty((beams.count, 2))
+        self._rays = np.empty(beams.count, np.int64)
+        self._means = np.empty((beams.count, 2))
+        self._members = np.empty(beams.count, np.int64)
+        self._work = np.empty((beams.count, 4))
+
+    def points(self, scan: Scan, twist: NDArray[np.float64], instant_s: float = 0.0) -> NDArray[np.float64]:
+        """Return the end points (M, 2) as `scan.end_points` does; valid until the next call."""
+        beams = self.beams
+        sweep = np.array((beams.range_min_m, beams.range_max_m, beams.time_increment_s, instant_s))
+        self._count = int(end_points(scan.ranges_m, self._directions, sweep, twist, self._points, self._rays))
+        return self._points[: self._count]
+
+    def means(self) -> NDArray[np.float64]:
+        """Return the resampled points of the last sweep; (K, 2), K near the wanted number, a copy."""
+        if self._wanted == 0:
+            return self._points[: self._count].copy()
+        written = resample(
+            self._points,
+            self._rays,
+            self._count,
+            abs(self.beams.angle_increment_rad),
+            self._wanted,
+            self._rule,
+            self._means,
+            self._members,
+            self._work,
+        )
+        return self._means[:written].copy()
