@@ -31,6 +31,7 @@ class SerialStream:
         path: The port's node, e.g. /dev/ttyACM0.
         baud: Bits per second; without meaning for a device that is itself on USB.
         timeout_s: How long `read` waits for a first byte.
+        write_timeout_s: How long `write` waits for a line that takes no bytes; one second if None.
 
     Raises:
         PortMissingError: There is no such node.
@@ -39,10 +40,13 @@ class SerialStream:
         TransportError: It cannot be opened for another reason.
     """
 
-    def __init__(self, path: str, baud: int, timeout_s: float = 0.05) -> None:
+    def __init__(
+        self, path: str, baud: int, timeout_s: float = 0.05, write_timeout_s: float | None = None
+    ) -> None:
         self.path = path
+        self._write_timeout_s = _WRITE_TIMEOUT_S if write_timeout_s is None else write_timeout_s
         self._timeout_ms = max(0, round(timeout_s * 1000))
-        self._serial = _open(path, baud)
+        self._serial = _open(path, baud, self._write_timeout_s)
         self._poll = select.poll()
         self._poll.register(self._serial.fileno(), select.POLLIN)
 
@@ -50,6 +54,10 @@ class SerialStream:
     def baud(self) -> int:
         """The rate in use."""
         return int(self._serial.baudrate)
+
+    def fileno(self) -> int:
+        """The line's descriptor, for a process that must be able to speak when this one cannot."""
+        return int(self._serial.fileno())
 
     def set_baud(self, baud: int) -> None:
         """Change the rate of this side of the line.
@@ -91,13 +99,13 @@ class SerialStream:
         """Send all of `data`.
 
         Raises:
-            TransportError: The line stopped, or takes no bytes for one second.
+            TransportError: The line stopped, or takes no bytes for as long as `write` waits.
         """
         try:
             self._serial.write(data)
         except serial.SerialTimeoutException as error:
             raise TransportError(
-                f"{self.path}: stopped, takes no bytes for {_WRITE_TIMEOUT_S:g} s"
+                f"{self.path}: stopped, takes no bytes for {self._write_timeout_s:g} s"
             ) from error
         except _LINE_FAILURES as error:
             raise TransportError(f"{self.path}: stopped, unplugged or powered off ({error})") from error
@@ -118,7 +126,7 @@ class SerialStream:
         self.close()
 
 
-def _open(path: str, baud: int) -> serial.Serial:
+def _open(path: str, baud: int, write_timeout_s: float) -> serial.Serial:
     try:
         return serial.Serial(
             path,
@@ -127,7 +135,7 @@ def _open(path: str, baud: int) -> serial.Serial:
             parity=serial.PARITY_NONE,
             stopbits=serial.STOPBITS_ONE,
             timeout=0,
-            write_timeout=_WRITE_TIMEOUT_S,
+            write_timeout=write_timeout_s,
             xonxoff=False,
             rtscts=False,
             dsrdtr=False,
