@@ -103,9 +103,7 @@ def check_free(folder: Path) -> None:
     """Refuse a results folder that is something else, before any work is done; raises ConfigError."""
     if folder.is_dir():
         if any(folder.iterdir()) and not (folder / RUN_FILE).is_file():
-            raise ConfigError(
-                f"{folder}: holds files that are no results (no {RUN_FILE}); choose another folder"
-            )
+            raise ConfigError(f"{folder}: holds other files and no {RUN_FILE}; choose another folder")
     elif folder.exists():
         raise ConfigError(f"{folder}: is a file, must be a folder or not exist")
     parent = next(one for one in folder.absolute().parents if one.exists())

@@ -1,8 +1,9 @@
-"""How far a long run is: one live bar on a terminal, a plain line now and then elsewhere; always on stderr."""
+"""How far a long run is: one live bar on a terminal, a plain line now and then elsewhere; on stderr."""
 
 import sys
 import time
 from types import TracebackType
+from typing import Any
 
 PLAIN_EVERY_S = 5.0
 PAINT_EVERY_S = 0.1
@@ -19,7 +20,7 @@ class Progress:
 
     def __init__(self, total: int, period_s: float, quiet: bool = False) -> None:
         self._total, self._period_s, self._quiet = total, period_s, quiet
-        self._bar: object | None = None
+        self._bar: Any = None
         self.done = 0
         self.began_s = self._said_s = time.monotonic()
 
@@ -62,7 +63,7 @@ class Progress:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._bar is not None:
-            self._bar.stop()  # type: ignore[attr-defined]
+            self._bar.stop()
 
     def advance(self, note: str = "") -> None:
         """Count one scan; `note` is shown beside the figures, such as the state of the track."""
@@ -73,8 +74,8 @@ class Progress:
         self._said_s = now_s
         figures = self.figures() + (f"  {note}" if note else "")
         if self._bar is not None:
-            self._bar.update(0, completed=self.done, figures=figures)  # type: ignore[attr-defined]
-            self._bar.refresh()  # type: ignore[attr-defined]
+            self._bar.update(0, completed=self.done, figures=figures)
+            self._bar.refresh()
         else:
             print(f"{self.done} of {self._total} scans, {figures}", file=sys.stderr, flush=True)
 
@@ -82,4 +83,5 @@ class Progress:
         """Return speed and time left in words."""
         left_s = (self._total - self.done) / max(self.scans_per_s, 1e-9)
         minutes, seconds = divmod(round(left_s), 60)
-        return f"{self.scans_per_s:.0f} scans/s, {self.times_real_time:.1f} x real time, {minutes}:{seconds:02d} left"
+        speed = f"{self.scans_per_s:.0f} scans/s, {self.times_real_time:.1f} x real time"
+        return f"{speed}, {minutes}:{seconds:02d} left"

@@ -15,6 +15,10 @@ from runtime.formats.errors import FormatError
 OCCUPIED, FREE, UNKNOWN = 0, 254, 205
 OCCUPIED_THRESHOLD = 0.65
 FREE_THRESHOLD = 0.25
+"""Of the probabilities, as map_saver draws them."""
+READ_FREE_THRESHOLD = 0.196
+"""Of the picture, as map_server reads it: grey 205 means 0.19608 there, so with 0.25 the unknown would
+load as free (SteveMacenski/slam_toolbox#587)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +51,7 @@ def map_yaml(image: str, grid: GridMap) -> str:
     x, y = grid.origin_m
     return (
         f"image: {image}\nmode: trinary\nresolution: {grid.resolution_m:.6g}\norigin: [{x:.6f}, {y:.6f}, 0]\n"
-        f"negate: 0\noccupied_thresh: {OCCUPIED_THRESHOLD}\nfree_thresh: {FREE_THRESHOLD}\n"
+        f"negate: 0\noccupied_thresh: {OCCUPIED_THRESHOLD}\nfree_thresh: {READ_FREE_THRESHOLD}\n"
     )
 
 
@@ -66,10 +70,9 @@ def read_map(path: Path) -> GridMap:
     """
     data = load_yaml(path)
     keys = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
-    if not isinstance(data, dict) or (missing := [key for key in keys if key not in data]):
-        raise FormatError(
-            path, f"map_server keys missing: {missing if isinstance(data, dict) else list(keys)}"
-        )
+    known = data if isinstance(data, dict) else {}
+    if missing := [key for key in keys if key not in known]:
+        raise FormatError(path, f"map_server keys missing: {', '.join(missing)}")
     if data.get("mode", "trinary") != "trinary":
         raise FormatError(path, f"mode = {data['mode']!r}, must be 'trinary'")
     origin = data["origin"]

@@ -45,9 +45,7 @@ def lines_of(path: Path) -> Iterator[tuple[int, str]]:
             # A limit, so that a huge file without line ends is refused and not swallowed.
             for number, raw in enumerate(iter(lambda: file.readline(MAX_LINE_BYTES), b""), start=1):
                 if len(raw) >= MAX_LINE_BYTES:
-                    raise FormatError(
-                        path, f"a line of more than {MAX_LINE_BYTES} bytes, no laser log", number
-                    )
+                    raise FormatError(path, f"a line of more than {MAX_LINE_BYTES} bytes", number)
                 if b"\x00" in raw:
                     raise FormatError(path, "not text: binary bytes in it", number)
                 line = raw.decode("ascii", errors="strict").strip()

@@ -1,0 +1,125 @@
+"""Make a map from a laser log, offline, from every scan."""
+
+import argparse
+import json
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+from runtime.cli.progress import Progress
+from runtime.errors import ConfigError, PositionLostError
+
+if TYPE_CHECKING:
+    from runtime.formats.laser_log import LaserLog
+    from runtime.nodes.offline import OfflineConfig, OfflineRun
+
+MAX_SEED = 2**63
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments; heavy imports wait until `run`."""
+    parser.add_argument(
+        "log", type=Path, help="tinySLAM .dat, CARMEN .clf/.log (.gz, .bz2), Wean text, ROS bag or MCAP"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="results folder (default results/NAME)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the random numbers (default 0)")
+    parser.add_argument("--config", type=Path, metavar="F", help="YAML over the defaults")
+    parser.add_argument("--topic", metavar="T", help="which LaserScan topic of a bag")
+    parser.add_argument("--json", action="store_true", help="machine-readable, one object")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Map the log; 0 when done, 5 when the track ended lost, 130 after Ctrl-C, always with results."""
+    from runtime.formats.logs import open_log
+    from runtime.results import check_free
+
+    if not 0 <= args.seed < MAX_SEED:
+        raise ConfigError(f"--seed = {args.seed}, must be in [0, 2^63)")
+    log = open_log(args.log, args.topic)
+    config = _config(args.config)
+    from runtime.nodes.offline import OfflineRun, default_folder
+
+    out = args.out or default_folder(args.log)
+    check_free(out)
+    for notice in log.notices:
+        print(f"hallway map: {notice}", file=sys.stderr)
+    offline = OfflineRun(config, args.seed)
+    with _stop_on_sigint() as stopping, Progress(len(log), log.geometry.period_s, args.json) as progress:
+        _feed(offline, log, progress, stopping)
+    interrupted = progress.done < len(log)
+    if progress.done == 0:
+        return 130
+    report = _save(offline, log, out, args, interrupted)
+    report |= {"seconds": round(progress.elapsed_s, 3), "scans_per_s": round(progress.scans_per_s, 1)}
+    report["times_real_time"] = round(progress.times_real_time, 2)
+    _say(report, args.json)
+    if interrupted:
+        return 130
+    if offline.state == "LOST":
+        print("hallway map: the track was lost and not found again before the log ended", file=sys.stderr)
+        return int(PositionLostError.exit_code)
+    return 0
+
+
+def _config(path: Path | None) -> "OfflineConfig":
+    from runtime.config import load
+    from runtime.nodes.offline import OfflineConfig
+
+    return OfflineConfig() if path is None else load(OfflineConfig, path)
+
+
+def _feed(offline: "OfflineRun", log: "LaserLog", progress: Progress, stopping: list[bool]) -> None:
+    from runtime.nodes.log_scans import iterate
+
+    for scan in iterate(log):
+        if stopping:
+            return
+        offline.step(scan)
+        progress.advance(offline.state)
+
+
+def _save(
+    offline: "OfflineRun", log: "LaserLog", out: Path, args: argparse.Namespace, interrupted: bool
+) -> dict[str, Any]:
+    from runtime.results import link_latest, save
+
+    result = offline.result(log, {"interrupted": interrupted} if interrupted else None)
+    save(out, result)
+    if args.out is None:
+        link_latest(out)
+    return {"out": str(out), "seed": args.seed, **result.metrics}
+
+
+def _say(report: dict[str, Any], as_json: bool) -> None:
+    from runtime.config import plain
+
+    if as_json:
+        print(json.dumps(plain(report)))
+        return
+    states = ", ".join(f"{count} {name}" for name, count in report["states"].items())
+    print(
+        f"{report['scans']} scans in {report['seconds']:.1f} s ({report['times_real_time']:.1f} x real time),"
+        f" {report['way_m']:.1f} m driven, {report['known_m2']:.0f} m2 mapped; {states}"
+    )
+    print(f"{report['out']}/: map.png, map.pgm + map.yaml, trajectory.tum, odometry.tum, metrics.json")
+
+
+@contextmanager
+def _stop_on_sigint() -> Iterator[list[bool]]:
+    """Turn the first Ctrl-C into a wish to stop after the present scan; the second one ends at once."""
+    stopping: list[bool] = []
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        if stopping:
+            raise KeyboardInterrupt
+        stopping.append(True)
+
+    before = signal.signal(signal.SIGINT, on_signal)
+    try:
+        yield stopping
+    finally:
+        signal.signal(signal.SIGINT, before)
