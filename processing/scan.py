@@ -57,6 +57,9 @@ class Scan:
     def __post_init__(self) -> None:
         if self.ranges_m.shape != (self.beams.count,):
             raise ValueError(f"{self.ranges_m.shape} ranges, must be ({self.beams.count},)")
+        # A view of a message or of a file is read-only or strided; compiled loops take neither.
+        own = np.require(self.ranges_m, dtype=np.float32, requirements=("C", "W"))
+        object.__setattr__(self, "ranges_m", own)
 
 
 def end_points(
