@@ -1,0 +1,212 @@
+"""One store for the maps of all particles: tiles of 32 x 32 cells, shared until somebody writes.
+
+A particle is a table of tile numbers. Descendants share their ancestors' tiles; a write to a tile with more than one
+owner copies it first (copy on write), and a tile without owner goes back to the pool. This is the ancestry of DP-SLAM
+at the grain of a tile: a look-up costs one table read instead of a walk through the lineage, and memory grows with
+what the particles see differently, not with particles times area.
+
+A cell holds (stops, travelled metres, sum of end point offsets x, y from the cell's corner in metres).
+A block of 4 x 4 cells holds the moments (n, x, y, xx, xy, yy) of its occupied cells, kept beside the tile so that
+particles who share a tile share the matcher's reference too.
+"""
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+CELL_M = 0.05
+TILE = 32
+TILE_M = TILE * CELL_M
+BLOCK = 4
+BLOCKS = TILE // BLOCK
+BLOCK_M = BLOCK * CELL_M
+NONE = -1
+
+Cells: TypeAlias = NDArray[np.float32]
+Table: TypeAlias = NDArray[np.int32]
+
+_STORE = "Tuple((f4[:,:,:,::1], f4[:,:,:,::1], u1[:,:,::1], i4[::1], i4[::1], i8[::1]))"
+"""Type of `TileStore.arrays`: cells, blocks, stale blocks, owners, free tiles, number of free tiles."""
+
+Arrays: TypeAlias = tuple[
+    Cells, Cells, NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]
+]
+
+
+@njit(f"i4({_STORE}, i4[:,:,::1], i8, i8, i8)", cache=True, nogil=True)
+def own_tile(store: Arrays, table: Table, particle: int, row: int, col: int) -> int:
+    """Return the number of a tile that this particle alone owns: fresh, copied, or already its own."""
+    cells, blocks, stale, owners, free, count = store
+    tile = table[particle, row, col]
+    if tile != NONE and owners[tile] == 1:
+        return int(tile)
+    count[0] -= 1
+    mine = free[count[0]]
+    if tile == NONE:
+        cells[mine] = 0.0
+        blocks[mine] = 0.0
+        stale[mine] = 0
+    else:
+        cells[mine] = cells[tile]
+        blocks[mine] = blocks[tile]
+        stale[mine] = stale[tile]
+        owners[tile] -= 1
+    owners[mine] = 1
+    table[particle, row, col] = mine
+    return int(mine)
+
+
+@njit(f"void({_STORE}, i4[:,:,::1], i4[::1])", cache=True, nogil=True)
+def _resample(store: Arrays, table: Table, parents: NDArray[np.int32]) -> None:
+    """Give particle i the map of particle `parents[i]`; a surviving particle keeps its own place."""
+    _cells, _blocks, _stale, owners, free, count = store
+    particles, rows, cols = table.shape
+    for i in range(particles):
+        parent = parents[i]
+        if parent == i:
+            continue
+        for row in range(rows):
+            for col in range(cols):
+                tile = table[parent, row, col]
+                if tile != NONE:
+                    owners[tile] += 1
+                gone = table[i, row, col]
+                table[i, row, col] = tile
+                if gone != NONE:
+                    owners[gone] -= 1
+                    if owners[gone] == 0:
+                        free[count[0]] = gone
+                        count[0] += 1
+
+
+@dataclass(slots=True)
+class Extent:
+    """Which tiles the tables cover: tile (row, col) lies at (first_row + row, first_col + col) of the plane."""
+
+    first_row: int
+    first_col: int
+    rows: int
+    cols: int
+
+
+class TileStore:
+    """The maps of `particles` particles, all empty at first."""
+
+    def __init__(self, particles: int, tiles: int = 256) -> None:
+        self.table: Table = np.full((particles, 8, 8), NONE, dtype=np.int32)
+        self.extent = Extent(-4, -4, 8, 8)
+        self.arrays: Arrays = _empty(tiles)
+
+    @property
+    def tiles_used(self) -> int:
+        """Number of tiles with at least one owner."""
+        return int(self.arrays[3].shape[0] - self.arrays[5][0])
+
+    @property
+    def bytes_used(self) -> int:
+        """Memory of the used tiles and of all tables."""
+        cells, blocks, stale = self.arrays[:3]
+        each = (cells.nbytes + blocks.nbytes + stale.nbytes) // cells.shape[0]
+        return self.tiles_used * each + self.table.nbytes
+
+    def resample(self, parents: NDArray[np.int32]) -> None:
+        """Give particle i the map of particle `parents[i]`; survivors must keep their own place.
+
+        Raises:
+            ValueError: if a surviving particle does not stand in its own place.
+        """
+        stayed = parents[parents]
+        if not np.array_equal(stayed, parents):
+            moved = int(np.flatnonzero(stayed != parents)[0])
+            raise ValueError(f"parents[{moved}] = {parents[moved]}, a survivor must be its own parent")
+        _resample(self.arrays, self.table, parents)
+
+    def cover(self, low_m: NDArray[np.float64], high_m: NDArray[np.float64]) -> None:
+        """Make the tables cover the rectangle from `low_m` to `high_m` (x, y), map frame."""
+        first = np.floor(np.asarray(low_m) / TILE_M).astype(int) - 1
+        last = np.floor(np.asarray(high_m) / TILE_M).astype(int) + 1
+        e = self.extent
+        first_col, first_row = min(e.first_col, int(first[0])), min(e.first_row, int(first[1]))
+        end_col = max(e.first_col + e.cols, int(last[0]) + 1)
+        end_row = max(e.first_row + e.rows, int(last[1]) + 1)
+        if (first_row, first_col, end_row, end_col) == (
+            e.first_row,
+            e.first_col,
+            e.first_row + e.rows,
+            e.first_col + e.cols,
+        ):
+            return
+        wider = np.full((self.table.shape[0], end_row - first_row, end_col - first_col), NONE, dtype=np.int32)
+        at_row, at_col = e.first_row - first_row, e.first_col - first_col
+        wider[:, at_row : at_row + e.rows, at_col : at_col + e.cols] = self.table
+        self.table = wider
+        self.extent = Extent(first_row, first_col, end_row - first_row, end_col - first_col)
+
+    def reserve(self, tiles: int) -> None:
+        """Make sure that at least `tiles` tiles are free."""
+        owners, count = self.arrays[3], self.arrays[5]
+        lacking = tiles - int(count[0])
+        if lacking <= 0:
+            return
+        size = owners.shape[0]
+        grown = _empty(size + max(lacking, size // 2))
+        for old, new in zip(self.arrays[:4], grown[:4], strict=True):
+            new[:size] = old
+        free = grown[4]
+        fresh = grown[3].shape[0] - size
+        # Old numbers on top: a tile that was used already is taken again before untouched memory is.
+        free[:fresh] = np.arange(grown[3].shape[0] - 1, size - 1, -1)
+        free[fresh : fresh + int(count[0])] = self.arrays[4][: int(count[0])]
+        grown[5][0] = fresh + int(count[0])
+        self.arrays = grown
+
+    def dense(self, particle: int) -> tuple[Cells, tuple[int, int]]:
+        """Return one particle's whole map (rows, cols, 4) and the cell (row, col) of its lower left corner."""
+        cells, table, e = self.arrays[0], self.table[particle], self.extent
+        out = np.zeros((e.rows * TILE, e.cols * TILE, cells.shape[3]), dtype=np.float32)
+        for row, col in zip(*np.nonzero(table != NONE), strict=True):
+            out[row * TILE : (row + 1) * TILE, col * TILE : (col + 1) * TILE] = cells[table[row, col]]
+        return out, (e.first_row * TILE, e.first_col * TILE)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays, used tiles only; `restore` takes them back."""
+        used = np.flatnonzero(self.arrays[3] > 0).astype(np.int32)
+        e = self.extent
+        cells, blocks, stale, owners, free, count = self.arrays
+        return {
+            "table": self.table.copy(),
+            "extent": np.array((e.first_row, e.first_col, e.rows, e.cols)),
+            "used": used,
+            "cells": cells[used],
+            "blocks": blocks[used],
+            "stale": stale[used],
+            "owners": owners.copy(),
+            "free": free[: int(count[0])].copy(),
+        }
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Become the store whose `state` was taken."""
+        self.table = state["table"].copy()
+        self.extent = Extent(*(int(v) for v in state["extent"]))
+        self.arrays = _empty(state["owners"].shape[0])
+        cells, blocks, stale, owners, free, count = self.arrays
+        for array, name in ((cells, "cells"), (blocks, "blocks"), (stale, "stale")):
+            array[state["used"]] = state[name]
+        owners[:] = state["owners"]
+        free[: state["free"].shape[0]] = state["free"]
+        count[0] = state["free"].shape[0]
+
+
+def _empty(tiles: int) -> Arrays:
+    return (
+        # Untouched pages of a fresh array cost nothing, so the pool may be larger than what is in use.
+        np.empty((tiles, TILE, TILE, 4), dtype=np.float32),
+        np.empty((tiles, BLOCKS, BLOCKS, 6), dtype=np.float32),
+        np.zeros((tiles, BLOCKS, BLOCKS), dtype=np.uint8),
+        np.zeros(tiles, dtype=np.int32),
+        np.arange(tiles - 1, -1, -1, dtype=np.int32),
+        np.array([tiles], dtype=np.int64),
+    )

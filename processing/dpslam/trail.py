@@ -1,0 +1,80 @@
+"""The scans between the key scans: a pose for every scan from the poses of the key scans and the odometry."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing import se2
+from processing.se2 import Pose
+
+
+class Trail:
+    """Every scan's stamp and odometry, and which of them are key scans."""
+
+    def __init__(self) -> None:
+        self._stamps_ns = np.zeros(1024, dtype=np.int64)
+        self._odom_t_laser = np.zeros((1024, 3))
+        self._keys = np.zeros(1024, dtype=np.int64)
+        self.scans = 0
+        self.keys = 0
+
+    def add(self, stamp_ns: int, odom_t_laser: Pose) -> None:
+        """Append one scan."""
+        if self.scans == self._stamps_ns.shape[0]:
+            self._stamps_ns = np.concatenate((self._stamps_ns, np.zeros_like(self._stamps_ns)))
+            self._odom_t_laser = np.concatenate((self._odom_t_laser, np.zeros_like(self._odom_t_laser)))
+        self._stamps_ns[self.scans] = stamp_ns
+        self._odom_t_laser[self.scans] = odom_t_laser
+        self.scans += 1
+
+    def mark_key(self) -> None:
+        """Make the newest scan a key scan."""
+        if self.keys == self._keys.shape[0]:
+            self._keys = np.concatenate((self._keys, np.zeros_like(self._keys)))
+        self._keys[self.keys] = self.scans - 1
+        self.keys += 1
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """(N,) stamps of all scans, in the order in which they came."""
+        return self._stamps_ns[: self.scans].copy()
+
+    def lay(self, map_t_keys: Pose) -> Pose:
+        """Return map_t_laser (N, 3) of all scans.
+
+        Between two key scans the odometry gives the shape, and what it misses at the second is spread evenly over
+        the scans between; after the last key scan the odometry goes on alone.
+
+        Args:
+            map_t_keys: (K, 3) poses of the key scans.
+        """
+        odom = self._odom_t_laser[: self.scans]
+        if self.keys == 0:
+            return odom.copy()
+        keys = self._keys[: self.keys]
+        scans = np.arange(self.scans)
+        before = np.maximum(np.searchsorted(keys, scans, side="right") - 1, 0)
+        after = np.minimum(before + 1, self.keys - 1)
+        key_t_scan = se2.between(odom[keys[before]], odom)
+        key_t_next = se2.between(odom[keys[before]], odom[keys[after]])
+        missed = se2.between(key_t_next, se2.between(map_t_keys[before], map_t_keys[after]))
+        span = np.maximum(keys[after] - keys[before], 1)
+        share = np.where(after > before, (scans - keys[before]) / span, 0.0)[:, None]
+        return se2.compose(map_t_keys[before], se2.compose(key_t_scan, missed * share))
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return what was added; `restore` takes it back."""
+        return {
+            "stamps_ns": self._stamps_ns[: self.scans].copy(),
+            "odom_t_laser": self._odom_t_laser[: self.scans].copy(),
+            "keys": self._keys[: self.keys].copy(),
+        }
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Become the trail whose `state` was taken."""
+        self.scans, self.keys = state["stamps_ns"].shape[0], state["keys"].shape[0]
+        room = np.zeros(1, dtype=np.int64)
+        self._stamps_ns = np.concatenate((state["stamps_ns"], room))
+        self._odom_t_laser = np.concatenate((state["odom_t_laser"], np.zeros((1, 3))))
+        self._keys = np.concatenate((state["keys"], room))

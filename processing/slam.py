@@ -1,0 +1,51 @@
+"""The whole pipeline: where the laser went since the last scan, and which maps that speaks for."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.dpslam.config import DpSlamConfig
+from processing.dpslam.filter import DpSlam, MapStep
+from processing.occupancy import OccupancyGrid
+from processing.odometry import LaserOdometry, Match, OdometryConfig
+from processing.scan import Scan
+from processing.se2 import Pose
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlamConfig:
+    """The matcher and the mapper."""
+
+    odometry: OdometryConfig = field(default_factory=OdometryConfig)
+    mapping: DpSlamConfig = field(default_factory=DpSlamConfig)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """What one scan told."""
+
+    match: Match
+    mapping: MapStep
+
+
+class Slam:
+    """Scans in, maps out; the same scans, configuration and seed give the same bits."""
+
+    def __init__(self, config: SlamConfig | None = None, seed: int = 0) -> None:
+        self.config = config or SlamConfig()
+        self.odometry = LaserOdometry(self.config.odometry, seed)
+        self.mapping = DpSlam(self.config.mapping, seed)
+
+    def step(self, scan: Scan) -> Step:
+        """Take the next scan; raises ValueError if it has other beams than the first."""
+        match = self.odometry.step(scan)
+        return Step(match, self.mapping.step(scan, match.motion))
+
+    def trajectory(self) -> tuple[NDArray[np.int64], Pose]:
+        """Return stamps (N,) and map_t_laser (N, 3) of every scan so far."""
+        return self.mapping.trajectory()
+
+    def occupancy(self) -> OccupancyGrid:
+        """Return the most probable map."""
+        return self.mapping.occupancy()
