@@ -1,0 +1,227 @@
+"""A recording of the bus: MCAP files that survive a kill, a full disk and a power cut up to the last second.
+
+Nothing here waits for the bus or is waited for by it: whoever feeds a recording holds bounded mailboxes, and
+what did not fit in them is counted into the file, once a second, as a message of its own.
+"""
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from runtime.formats.mcap_log import ACTIVE_SUFFIX, McapChannel, McapReader, McapWriter
+from runtime.messages import DiagnosticArray, DiagnosticStatus, KeyValue, encode, header
+
+STATUS_TOPIC = "recording"
+"""Under the robot's name, in files only: what the recorder could not keep."""
+STATUS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+FLUSH_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingConfig:
+    """When a file ends and the next begins, and when the disk is full."""
+
+    split_mb: float = 0.0
+    """Size after which a new file begins, MB; 0 for one file, else 1 .. 1e6."""
+    split_s: float = 0.0
+    """Time after which a new file begins, s; 0 for one file, else 1 .. 1e6."""
+    min_free_mb: float = 500.0
+    """Free space that is never used up, MB, 0 .. 1e6."""
+
+    def __post_init__(self) -> None:
+        for name in ("split_mb", "split_s"):
+            if getattr(self, name) and not 1 <= getattr(self, name) <= 1e6:
+                raise ValueError(f"{name} = {getattr(self, name)}, must be 0 or in [1, 1e6]")
+        if not 0 <= self.min_free_mb <= 1e6:
+            raise ValueError(f"min_free_mb = {self.min_free_mb}, must be in [0, 1e6]")
+
+
+@dataclass(slots=True)
+class Counts:
+    """What became of the messages of a recording."""
+
+    written: int = 0
+    unwritten: int = 0
+    """Messages that came after the disk was full."""
+    lost: dict[str, int] = field(default_factory=dict)
+    """For each topic, messages that never came here or gave way in the mailbox."""
+
+    @property
+    def total_lost(self) -> int:
+        """Everything that should be in the file and is not."""
+        return self.unwritten + sum(self.lost.values())
+
+
+class Recording:
+    """Takes messages and writes them into one file, or into several one after the other.
+
+    Args:
+        path: `X.mcap`; with a split the files are `X_000.mcap`, `X_001.mcap`, ...
+        robot: Name under which the recorder's own status is written.
+        config: See RecordingConfig.
+        now_ns: The present, by the clock of the stamps; steady.
+        about: Metadata for the head of each file: versions, host, clock offset.
+        attachments: Files for the head of each file, such as the resolved configuration.
+        free_bytes: Space left on the disk of a folder; given by tests.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        robot: str,
+        config: RecordingConfig,
+        now_ns: int,
+        about: Mapping[str, str] | None = None,
+        attachments: Mapping[str, bytes] | None = None,
+        free_bytes: Callable[[Path], int] = lambda folder: shutil.disk_usage(folder).free,
+    ) -> None:
+        self._base, self._robot, self._config = path, robot, config
+        self._about, self._attachments = dict(about or {}), dict(attachments or {})
+        self._free_bytes = free_bytes
+        self._splitting = bool(config.split_mb or config.split_s)
+        self._status = McapChannel(f"/{robot}/{STATUS_TOPIC}", STATUS_TYPE)
+        self.counts = Counts()
+        self.full = False
+        self.files: list[Path] = []
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._flushed_ns = now_ns
+        self._writer: McapWriter | None = None
+        if not self._no_space():
+            self._open(now_ns)
+
+    def add(self, channel: McapChannel, sequence: int, log_ns: int, publish_ns: int, payload: bytes) -> None:
+        """Write one message; after the disk is full it is only counted."""
+        if self._writer is None:
+            self.counts.unwritten += 1
+            return
+        try:
+            self._writer.add(channel, sequence, log_ns, publish_ns, payload)
+            self.counts.written += 1
+        except OSError:
+            self.counts.unwritten += 1
+            self._give_up()
+
+    def tick(self, now_ns: int, lost: Mapping[str, int]) -> None:
+        """Do what is due; call it some times a second.
+
+        Args:
+            now_ns: The present.
+            lost: For each topic, how many messages never came here or gave way in the mailbox, so far.
+        """
+        self.counts.lost = dict(lost)
+        if now_ns - self._flushed_ns < FLUSH_NS or self._writer is None:
+            return
+        self._flushed_ns = now_ns
+        try:
+            self._write_status(self._writer, now_ns)
+            self._writer.flush(to_disk=True)
+        except OSError:
+            self._give_up()
+            return
+        if self._no_space():
+            self._finish(now_ns)
+        elif self._split_due(now_ns):
+            self._finish(now_ns)
+            self._open(now_ns)
+
+    def close(self, now_ns: int) -> None:
+        """End the recording; the last file gets its name."""
+        if self._writer is not None:
+            self._finish(now_ns)
+
+    def _open(self, now_ns: int) -> None:
+        path = self._free_path()
+        about = {**self._about, "robot": self._robot, "file": str(len(self.files)), "began_ns": str(now_ns)}
+        self._writer = McapWriter(path, {"hallway": about}, self._attachments)
+        self._began_ns = now_ns
+        self.files.append(path)
+
+    def _free_path(self) -> Path:
+        """Return the next name; a file of an earlier recording, whole or cut, is never touched."""
+        base = self._base
+        number = len(self.files)
+        path = base.with_name(f"{base.stem}_{number:03d}{base.suffix}") if self._splitting else base
+        while path.exists() or path.with_name(path.name + ACTIVE_SUFFIX).exists():
+            number += 1
+            path = base.with_name(f"{base.stem}_{number:03d}{base.suffix}")
+        return path
+
+    def _split_due(self, now_ns: int) -> bool:
+        assert self._writer is not None
+        c = self._config
+        by_size = bool(c.split_mb) and self._writer.bytes_written >= c.split_mb * 1e6
+        return by_size or (bool(c.split_s) and now_ns - self._began_ns >= c.split_s * 1e9)
+
+    def _no_space(self) -> bool:
+        self.full = self._free_bytes(self._base.parent) < self._config.min_free_mb * 1e6
+        return self.full
+
+    def _finish(self, now_ns: int) -> None:
+        assert self._writer is not None
+        writer, self._writer = self._writer, None
+        try:
+            self._write_status(writer, now_ns)
+            writer.finish({"hallway.end": {**self._summary(), "ended_ns": str(now_ns)}})
+        except OSError:
+            writer.abandon()
+            self.full = True
+
+    def _give_up(self) -> None:
+        """Stop after a write error; what was flushed stays readable under its unfinished name."""
+        self.full = True
+        if self._writer is not None:
+            self._writer.abandon()
+            self._writer = None
+
+    def _summary(self) -> dict[str, str]:
+        counts = {"written": str(self.counts.written), "unwritten": str(self.counts.unwritten)}
+        return counts | {f"{topic}.lost": str(n) for topic, n in self.counts.lost.items()}
+
+    def _write_status(self, writer: McapWriter, now_ns: int) -> None:
+        values = [KeyValue(key=key, value=value) for key, value in self._summary().items()]
+        level = 1 if self.counts.total_lost else 0
+        text = f"{self.counts.total_lost} messages lost" if level else "recording"
+        status = DiagnosticStatus(
+            level=level, name=f"{self._robot}/{STATUS_TOPIC}", message=text, hardware_id="", values=values
+        )
+        payload = encode(DiagnosticArray(header=header(now_ns, ""), status=[status]))
+        writer.add(self._status, 0, now_ns, now_ns, payload)
+
+
+def salvage(path: Path, target: Path | None = None) -> tuple[Path, int, list[str]]:
+    """Copy everything readable of a cut or damaged file into a whole one, and read that again.
+
+    Args:
+        path: The damaged file, usually `X.mcap.active`.
+        target: The new file; by default the name without `.active`, or `X.recovered.mcap`.
+
+    Returns:
+        The new file, how many messages it holds, and what was wrong with the old one.
+
+    Raises:
+        FormatError: It is no MCAP file.
+        FileExistsError: The target exists.
+    """
+    if target is None:
+        whole = path.name.removesuffix(ACTIVE_SUFFIX)
+        target = path.with_name(whole if whole != path.name else f"{path.stem}.recovered.mcap")
+    if target.exists():
+        raise FileExistsError(17, "exists already", str(target))
+    reader = McapReader(path)
+    for _ in reader.messages():
+        pass  # the first pass finds metadata and attachments, which stand before and behind messages
+    state = reader.state
+    about = dict(state.metadata)
+    about["hallway.salvaged"] = {"from": path.name, "troubles": "; ".join(state.troubles()) or "none"}
+    writer = McapWriter(target, about, state.attachments)
+    count = 0
+    for message in reader.messages():
+        writer.add(message.channel, message.sequence, message.log_ns, message.publish_ns, message.payload)
+        count += 1
+    writer.finish()
+    again = McapReader(target)
+    found = sum(1 for _ in again.messages())
+    if found != count or again.state.troubles():
+        raise AssertionError(f"{target}: {found} of {count} messages read back after recovery")
+    return target, count, state.troubles()
