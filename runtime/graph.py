@@ -192,3 +192,36 @@ def _placed(value: Any, run_dir: Path) -> Any:
     if isinstance(value, Mapping):
         return {key: _placed(item, run_dir) for key, item in value.items()}
     return [_placed(item, run_dir) for item in value] if isinstance(value, list) else value
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Check a graph in full and print it resolved, as JSON: `python -m runtime.graph FILE [--headless]`."""
+    import argparse
+    import json
+    import sys
+
+    parser = argparse.ArgumentParser(prog="runtime.graph", description=main.__doc__)
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--headless", action="store_true", help="leave out what needs a screen")
+    args = parser.parse_args(argv)
+    try:
+        graph = load(args.file)
+        graph = graph.without_screen() if args.headless else graph
+        resolved = resolve_all(graph, str(args.file))
+    except ConfigError as error:
+        sys.stderr.write(f"{error}\n")
+        return error.exit_code
+    nodes = {
+        name: {
+            "config": configuration.plain(node.config),
+            "subscribes": node.subscribes,
+            "publishes": node.publishes,
+        }
+        for name, node in resolved.items()
+    }
+    sys.stdout.write(json.dumps(nodes) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from runtime import messages, realtime
-from runtime.bus import Bus, Handle, Publisher
+from runtime.bus import Bus, Handle, Publisher, wait_matching
 from runtime.clock import Clock
 from runtime.inbox import Inbox
 from runtime.messages import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -23,6 +23,7 @@ from runtime.topics import Topic
 from runtime.topics import topic as topic_named
 
 HEARTBEAT_S = 1.0
+_MATCHING_S = 0.3
 _LEVELS: dict[Level, int] = {"ok": 0, "warn": 1, "error": 2}
 
 
@@ -81,6 +82,7 @@ class BusPort:
         self._counters: dict[str, int] = {}
         self._state: tuple[Level, str, dict[str, object]] = ("ok", "starting", {})
         self._is_ready = False
+        self._usage = Usage()
         self._turned_monotonic = time.monotonic()
 
     # ---- what a node sees ----
@@ -130,6 +132,10 @@ class BusPort:
             return
         bus = self._connected()
         realtime.settle()
+        # Whoever is there already shall not miss the first message.
+        end = time.monotonic() + _MATCHING_S
+        for outlet in self._outlets.values():
+            wait_matching(outlet.publisher, max(0.0, end - time.monotonic()))
         self._is_ready = True
         self._tokens.append(bus.token(messages.node_token(bus.zid, self.robot, self.name, self.domain)))
         if self._state[1] == "starting":
@@ -170,7 +176,7 @@ class BusPort:
             values[f"{outlet.topic.name}.published"] = outlet.published
         values |= self._counters
         values["loop_age_s"] = f"{time.monotonic() - self._turned_monotonic:.1f}"
-        values |= own_usage()
+        values |= self._usage.values()
         return values
 
     def close(self) -> None:
@@ -218,14 +224,27 @@ class BusPort:
             self.beat()
 
 
-def own_usage() -> dict[str, object]:
-    """Return this process's resident memory (MB) and CPU time (s)."""
-    with open("/proc/self/statm", encoding="ascii") as file:
-        pages = int(file.read().split()[1])
-    return {
-        "rss_mb": f"{pages * os.sysconf('SC_PAGE_SIZE') / 1e6:.1f}",
-        "cpu_s": f"{time.process_time():.2f}",
-    }
+class Usage:
+    """This process's resident memory and CPU time."""
+
+    def __init__(self) -> None:
+        self._mark = (time.monotonic(), time.process_time())
+        self._cpu_percent = 0.0
+
+    def values(self) -> dict[str, object]:
+        """Return MB, s, and the percentage of one core since about a second ago."""
+        with open("/proc/self/statm", encoding="ascii") as file:
+            pages = int(file.read().split()[1])
+        now, cpu_s = time.monotonic(), time.process_time()
+        then, before_s = self._mark
+        if now - then > HEARTBEAT_S / 2:
+            self._cpu_percent = 100.0 * (cpu_s - before_s) / (now - then)
+            self._mark = (now, cpu_s)
+        return {
+            "rss_mb": f"{pages * os.sysconf('SC_PAGE_SIZE') / 1e6:.1f}",
+            "cpu_s": f"{cpu_s:.2f}",
+            "cpu_percent": f"{self._cpu_percent:.1f}",
+        }
 
 
 if __name__ == "__main__":

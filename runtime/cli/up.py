@@ -1,0 +1,192 @@
+"""Start the processes of a graph, show how they are, and keep what they leave."""
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from runtime.graph import Graph
+    from runtime.run import Run
+
+_TURN_S = 0.05
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments; heavy imports wait until `run`."""
+    parser.add_argument("graph", help="demo, onboard, or a YAML file")
+    parser.add_argument("--headless", action="store_true", help="leave out what needs a screen")
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="end by itself after S seconds of running"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="results folder (default results/TIME)")
+    parser.add_argument("--robot", metavar="NAME", help="instead of the graph's")
+    parser.add_argument("--seed", type=int, metavar="N", help="instead of the graph's")
+    parser.add_argument("--json", action="store_true", help="machine-readable, one object at the end")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the graph; 0 when done, 130 after Ctrl-C with everything saved, else why it failed."""
+    from dataclasses import replace
+
+    from runtime import graph as graphs
+    from runtime import rundir
+    from runtime.bus_zenoh import ZenohBus
+    from runtime.cli.screen import Screen
+    from runtime.errors import ConfigError
+    from runtime.run import Run
+
+    if args.duration is not None and not args.duration > 0:
+        raise ConfigError(f"--duration = {args.duration:g}, must be more than 0 s")
+    file = graphs.find(args.graph)
+    graph = graphs.load(file)
+    changes = {key: getattr(args, key) for key in ("robot", "seed") if getattr(args, key) is not None}
+    try:
+        graph = replace(graph, **changes)
+    except ValueError as error:
+        raise ConfigError(f"--{error}") from error
+    headless = args.headless or not _has_screen()
+    if headless:
+        graph = graph.without_screen()
+    resolved = _check(file, headless)
+    out = _prepare(args.out)
+    with rundir.claimed(graph.robot) as run_dir, Screen(quiet=args.json) as screen:
+        if headless and not args.headless:
+            screen.say("no screen here: running as with --headless")
+        screen.say(f"{graph.robot}: {len(graph.nodes)} processes of {file.name}; results in {out}/")
+        live = Run(
+            graph,
+            file,
+            run_dir,
+            out,
+            open_bus=ZenohBus,
+            on_event=lambda event: screen.say(f"  {event.node}: {event.text}"),
+        )
+        try:
+            interrupted = _drive(live, screen, args.duration)
+        finally:
+            live.close()
+        code = _exit_code(live, interrupted)
+        report = _save(live, graph, resolved, out, args, code)
+    _say(report, args.json)
+    return code
+
+
+def _has_screen() -> bool:
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _check(file: Path, headless: bool) -> dict[str, Any]:
+    """Check every node in a process of its own: the modules are heavy, and this one stays light."""
+    from runtime.clock import Clock
+    from runtime.errors import ConfigError, HallwayError
+    from runtime.supervisor import child_environment
+
+    command = [sys.executable, "-m", "runtime.graph", str(file)]
+    if headless:
+        command.append("--headless")
+    environment = child_environment(Clock())
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    if done.returncode == 0:
+        return dict(json.loads(done.stdout))
+    lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+    if done.returncode == ConfigError.exit_code:
+        raise ConfigError(lines[-1])
+    raise HallwayError(f"{file}: the check failed: {lines[-1]}")
+
+
+def _prepare(out: Path | None) -> Path:
+    """Return an empty folder for the results; an older one of that name is kept beside it."""
+    import shutil
+
+    from runtime.results import check_free
+
+    if out is None:
+        out = Path("results") / time.strftime("%Y%m%d-%H%M%S")
+    check_free(out)
+    if out.is_dir() and any(out.iterdir()):
+        old = out.with_name(f"{out.name}.old")
+        shutil.rmtree(old, ignore_errors=True)
+        out.replace(old)
+    out.mkdir(parents=True, exist_ok=True)
+    return out
+
+
+def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
+    """Turn until everything has ended; return whether a person ended it."""
+    asked: list[int] = []
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        if len(asked) > 1:
+            live.supervisor.close()
+        asked.append(number)
+
+    before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    running_since: float | None = None
+    try:
+        while not live.supervisor.over:
+            live.step()
+            now = time.monotonic()
+            if running_since is None and live.supervisor.all_ready:
+                running_since = now
+                screen.say(f"all processes run after {live.elapsed_s:.1f} s")
+            over = duration_s is not None and running_since is not None and now - running_since > duration_s
+            if asked or over or live.supervisor.idle:
+                live.supervisor.stop()
+            screen.show(live.status(), live.elapsed_s)
+            time.sleep(_TURN_S)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    return signal.SIGINT in asked
+
+
+def _exit_code(live: "Run", interrupted: bool) -> int:
+    failed = live.supervisor.failed
+    if failed is not None:
+        return failed.exit_code or 1
+    return 130 if interrupted else 0
+
+
+def _save(
+    live: "Run", graph: "Graph", resolved: dict[str, Any], out: Path, args: argparse.Namespace, code: int
+) -> dict[str, Any]:
+    from runtime.results import link_latest, provenance
+    from runtime.run import collect
+
+    about = {**provenance(graph.seed), "graph": args.graph, **live.summary(), "exit_code": code}
+    about["events"] = [f"{e.stamp_ns} {e.node}: {e.text}" for e in live.events]
+    nodes = {name: node["config"] for name, node in resolved.items()}
+    config = {"robot": graph.robot, "domain": graph.domain, "seed": graph.seed, "nodes": nodes}
+    metrics = collect(out, list(graph.nodes), about, config)
+    if args.out is None:
+        link_latest(out)
+    failed = live.supervisor.failed
+    reason = f"{failed.name}: {failed.reasons[-1]}" if failed is not None and failed.reasons else ""
+    return {"out": str(out), "exit_code": code, "reason": reason, **live.summary(), "metrics": metrics}
+
+
+def _say(report: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        from runtime.results import to_json
+
+        print(json.dumps(json.loads(to_json(report))))
+        return
+    latency = report["metrics"].get("latency", {})
+    scans, mapped = latency.get("scans", 0), latency.get("mapped", 0)
+    if scans:
+        late = f", {scans - mapped} too late" if scans > mapped else ""
+        print(f"used {mapped} of {scans} scans{late}")
+    for name, process in report["processes"].items():
+        if process["restarts"] or process["state"] == "failed":
+            print(f"{name}: {process['restarts']} restarts, last: {process['reasons'][-1]}")
+    written = sorted(p.name for p in Path(report["out"]).iterdir() if p.is_file())
+    print(f"{report['out']}/: {', '.join(written)}")
+    if report["reason"]:
+        print(f"hallway up: {report['reason']}", file=sys.stderr)

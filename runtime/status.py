@@ -1,0 +1,144 @@
+"""What a robot looks like at one moment, put together from what its processes say of themselves."""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from runtime.health import Vital
+from runtime.latency import HOPS
+
+SUPERVISOR = "supervisor"
+MATCHER, MONITOR = "matcher", "monitor"
+_STALE_S = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessLine:
+    """One process, for people."""
+
+    name: str
+    state: str
+    """Of its life, as `runtime.child.State` has it."""
+    level: str
+    text: str
+    pid: int
+    restarts: int
+    cpu_percent: float
+    rss_mb: float
+    lost: int
+    """Messages that arrived and were not taken, or never arrived."""
+    deadline_misses: int
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """One robot at one moment."""
+
+    robot: str
+    tracking: str
+    """TRACKING, DEGENERATE, LOST, or nothing yet."""
+    map_size: str
+    scans: int
+    mapped: int
+    rates_hz: dict[str, float]
+    hops_ms: dict[str, dict[str, float]]
+    """p50, p99 and max of each hop of `runtime.latency.HOPS`."""
+    processes: tuple[ProcessLine, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        return dataclasses.asdict(self)
+
+    def line(self) -> str:
+        """Return it in one line."""
+        parts = [self.tracking or "starting"]
+        rates = [f"{name} {rate:.1f}/s" for name, rate in self.rates_hz.items() if name != "map"]
+        if rates:
+            parts.append(" ".join(rates))
+        for hop in ("match", "map"):
+            if hop in self.hops_ms:
+                parts.append(f"{hop} {self.hops_ms[hop]['p50']:.0f}/{self.hops_ms[hop]['p99']:.0f} ms")
+        if "whole" in self.hops_ms:
+            whole = self.hops_ms["whole"]
+            parts.append(f"ray to pose {whole['p50']:.0f}/{whole['p99']:.0f} ms")
+        if self.map_size:
+            parts.append(f"map {self.map_size}")
+        if self.scans:
+            parts.append(f"{self.mapped} of {self.scans} scans")
+        parts += [f"{p.name}: {p.text or p.state}" for p in self.processes if p.level != "ok"]
+        return " | ".join(parts)
+
+
+def status_of(robot: str, vitals: Mapping[str, Vital]) -> Status:
+    """Put the last words of all processes together."""
+    monitor, matcher = vitals.get(MONITOR), vitals.get(MATCHER)
+    supervisor = vitals.get(SUPERVISOR)
+    return Status(
+        robot=robot,
+        tracking=_tracking(matcher),
+        map_size=monitor.values.get("map_size", "") if monitor else "",
+        scans=int(monitor.number("scans")) if monitor else 0,
+        mapped=int(monitor.number("mapped")) if monitor else 0,
+        rates_hz=_rates(monitor),
+        hops_ms=_hops(monitor),
+        processes=tuple(_lines(vitals, supervisor)),
+    )
+
+
+def _tracking(matcher: Vital | None) -> str:
+    if matcher is None:
+        return ""
+    state = matcher.values.get("state", "")
+    return f"{state} (stale)" if state and matcher.age_s > _STALE_S else state
+
+
+def _rates(monitor: Vital | None) -> dict[str, float]:
+    if monitor is None:
+        return {}
+    ending = ".rate_hz"
+    return {key.removesuffix(ending): monitor.number(key) for key in monitor.values if key.endswith(ending)}
+
+
+def _hops(monitor: Vital | None) -> dict[str, dict[str, float]]:
+    if monitor is None:
+        return {}
+    return {
+        hop: {q: monitor.number(f"latency.{hop}.{q}_ms") for q in ("p50", "p99", "max")}
+        for hop in HOPS
+        if f"latency.{hop}.p50_ms" in monitor.values
+    }
+
+
+def _lines(vitals: Mapping[str, Vital], supervisor: Vital | None) -> list[ProcessLine]:
+    names = [key.split(".")[1] for key in supervisor.values if key.endswith(".state")] if supervisor else []
+    names += [name for name in vitals if name not in names]
+    lines: list[ProcessLine] = []
+    for name in names:
+        vital = vitals.get(name)
+        state = supervisor.values.get(f"child.{name}.state", "") if supervisor else ""
+        level, text = (vital.level, vital.text) if vital else ("ok", "")
+        if state in ("backoff", "failed"):
+            level, text = "error", supervisor.values.get(f"child.{name}.reason", "") if supervisor else ""
+        elif vital is not None and vital.age_s > _STALE_S and state in ("", "running"):
+            level, text = "stale", f"not heard for {vital.age_s:.0f} s"
+        values = vital.values if vital else {}
+        lines.append(
+            ProcessLine(
+                name=name,
+                state=state or ("running" if vital else ""),
+                level=level,
+                text=text,
+                pid=int(vital.number("pid")) if vital else 0,
+                restarts=int(supervisor.number(f"child.{name}.restarts")) if supervisor else 0,
+                cpu_percent=vital.number("cpu_percent") if vital else 0.0,
+                rss_mb=vital.number("rss_mb") if vital else 0.0,
+                lost=_sum(values, (".overwritten", ".missed")),
+                deadline_misses=_sum(values, (".deadline_misses",)),
+            )
+        )
+    return lines
+
+
+def _sum(values: Mapping[str, str], endings: tuple[str, ...]) -> int:
+    return sum(int(value) for key, value in values.items() if key.endswith(endings) and value.isdigit())
