@@ -1,6 +1,6 @@
 """MCAP files: a kill costs at most what was not flushed, and reading goes as far as the bytes are good.
 
-Profile `ros2`: CDR payloads under standard schemas, so that ROS 2 tools and Foxglove open a finished file. One
+Profile `ros2`: CDR payloads under standard schemas, so that ROS 2 tools and Foxglove open a whole file. One
 channel is one publisher of one topic, and a message carries its publisher's own number; a hole is a loss.
 """
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from processing.slam import Slam, SlamConfig, Step
 
 from processing import se2
-from processing.scan import Scan
+from processing.scan import Scan, end_points
+from processing.slam import Slam, SlamConfig, Step
 from runtime.formats.laser_log import LaserLog
 from runtime.formats.map_server import GridMap
 from runtime.results import RunResult, provenance
@@ -50,7 +50,8 @@ class OfflineRun:
         step = self._slam.step(scan)
         self._stamps_ns.append(scan.stamp_ns)
         self._odometry.append(step.match.motion.odom_t_laser)
-        self._points_laser.append(np.asarray(step.match.points_laser, dtype=np.float32))
+        points_laser, _ = end_points(scan, step.match.motion.twist)
+        self._points_laser.append(points_laser.astype(np.float32))
         self.state = step.match.state.name
         self.states[self.state] += 1
         return step
