@@ -65,6 +65,7 @@ class _Passage:
 
     scan_ns: int = 0
     odom_ns: int = 0
+    mapped: bool = False
 
 
 @dataclass(slots=True)
@@ -75,6 +76,8 @@ class Journeys:
     scans: int = 0
     matched: int = 0
     mapped: int = 0
+    late: int = 0
+    """Scans that got no pose although a later one did: skipped, because a newer one was there already."""
     _under_way: OrderedDict[int, _Passage] = field(default_factory=OrderedDict)
 
     def see(self, received: Received) -> None:
@@ -102,9 +105,18 @@ class Journeys:
                 self._add("match", published_ns - passage.scan_ns)
         elif received.topic == "pose":
             self.mapped += 1
+            passage.mapped = True
             self._add("whole", published_ns - stamp_ns)
             if passage.odom_ns:
                 self._add("map", published_ns - passage.odom_ns)
+            self._leave_behind(stamp_ns)
+
+    def _leave_behind(self, stamp_ns: int) -> None:
+        """Count what was overtaken, and forget it."""
+        overtaken = [stamp for stamp in self._under_way if stamp <= stamp_ns]
+        for stamp in overtaken:
+            passage = self._under_way.pop(stamp)
+            self.late += bool(passage.scan_ns and not passage.mapped)
 
     def _add(self, hop: str, duration_ns: int) -> None:
         self.hops[hop].add(duration_ns / 1e6)
@@ -116,7 +128,8 @@ class Journeys:
             if histogram.count:
                 for name, value in histogram.summary().items():
                     values[f"latency.{hop}.{name}_ms"] = f"{value:.2f}"
-        return values | {"scans": str(self.scans), "matched": str(self.matched), "mapped": str(self.mapped)}
+        counts = {"scans": self.scans, "matched": self.matched, "mapped": self.mapped, "late": self.late}
+        return values | {name: str(count) for name, count in counts.items()}
 
 
 class Rate:

@@ -193,3 +193,27 @@ def node_of_token(token: str) -> str | None:
     """Return the node name of a node token; None for other tokens."""
     parts = token.split("/")
     return parts[8] if len(parts) == 9 and parts[5] == "NN" else None
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """One publisher or subscription, as its token tells."""
+
+    kind: str
+    """`MP` or `MS`."""
+    node: str
+    topic: str
+    """Full name, without the leading slash."""
+    type: str
+
+
+def endpoints_of(tokens: list[str]) -> list[Endpoint]:
+    """Return the publishers and subscriptions among liveliness tokens, whoever declared them."""
+    found: list[Endpoint] = []
+    for token in tokens:
+        parts = token.split("/")
+        if len(parts) == 13 and parts[5] in ("MP", "MS"):
+            package, _, dds = parts[10].partition("::msg::dds_::")
+            topic = parts[9].removeprefix("%").replace("%", "/")
+            found.append(Endpoint(parts[5], parts[8], topic, f"{package}/msg/{dds.removesuffix('_')}"))
+    return found

@@ -35,6 +35,11 @@ def run_dir(robot: str) -> Path:
     return base_dir() / robot
 
 
+def is_running(robot: str) -> bool:
+    """Whether a robot of that name runs here."""
+    return (run_dir(robot) / "hub.sock").exists()
+
+
 def running(robot: str) -> Path:
     """Return the directory of a robot that runs.
 
@@ -42,7 +47,7 @@ def running(robot: str) -> Path:
         NotRunningError: It does not; the text names those that do.
     """
     path = run_dir(robot)
-    if not (path / "hub.sock").exists():
+    if not is_running(robot):
         others = sorted(p.parent.name for p in base_dir().glob("*/hub.sock")) if base_dir().is_dir() else []
         raise NotRunningError(f"robot {robot!r} does not run here; running: {', '.join(others) or 'none'}")
     return path

@@ -62,7 +62,7 @@ class Screen:
             print(f"{elapsed_s:6.0f} s  {status.line()}", flush=True)
 
 
-def table(status: Status, elapsed_s: float) -> Any:
+def table(status: Status, elapsed_s: float | None) -> Any:
     """Return the status as something `rich` paints."""
     from rich.console import Group
     from rich.table import Table
@@ -71,7 +71,8 @@ def table(status: Status, elapsed_s: float) -> Any:
     head = Text.assemble(
         (f"{status.robot}  ", "bold"),
         (status.tracking or "starting", _STATE_COLOURS.get(status.tracking, "white")),
-        f"   {elapsed_s:.0f} s   map {status.map_size or '-'}   {status.mapped} of {status.scans} scans",
+        "" if elapsed_s is None else f"   {elapsed_s:.0f} s",
+        f"   map {status.map_size or '-'}   {status.mapped} of {status.scans} scans",
     )
     rates = "   ".join(f"{name} {rate:.1f}/s" for name, rate in status.rates_hz.items())
     hops = Table("hop", "p50 ms", "p99 ms", "max ms", "", box=None, pad_edge=False)

@@ -181,7 +181,7 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
     latency = report["metrics"].get("latency", {})
     scans, mapped = latency.get("scans", 0), latency.get("mapped", 0)
     if scans:
-        late = f", {scans - mapped} too late" if scans > mapped else ""
+        late = f", {latency['late']} too late" if latency.get("late") else ""
         print(f"used {mapped} of {scans} scans{late}")
     for name, process in report["processes"].items():
         if process["restarts"] or process["state"] == "failed":

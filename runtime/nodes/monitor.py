@@ -69,7 +69,12 @@ def run(port: Port, config: Config) -> int:
     if port.results_dir is not None:
         port.results_dir.mkdir(parents=True, exist_ok=True)
         hops = {hop: {"count": h.count, **h.summary()} for hop, h in journeys.hops.items() if h.count}
-        counts = {"scans": journeys.scans, "matched": journeys.matched, "mapped": journeys.mapped}
+        counts = {
+            "scans": journeys.scans,
+            "matched": journeys.matched,
+            "mapped": journeys.mapped,
+            "late": journeys.late,
+        }
         text = json.dumps({"unit": "ms", "hops": hops, **counts}, indent=2)
         (port.results_dir / "latency.json").write_text(text + "\n", encoding="utf-8")
     return 0
@@ -77,8 +82,8 @@ def run(port: Port, config: Config) -> int:
 
 def used(journeys: Journeys) -> str:
     """Return how many of the scans became poses, in words."""
-    late = max(0, journeys.scans - journeys.mapped)
-    return f"used {journeys.mapped} of {journeys.scans} scans" + (f", {late} too late" if late else "")
+    late = f", {journeys.late} too late" if journeys.late else ""
+    return f"used {journeys.mapped} of {journeys.scans} scans{late}"
 
 
 def _map_size(payload: bytes) -> str:

@@ -1,0 +1,58 @@
+"""Show how a running robot is: its processes, rates, and latency hop by hop."""
+
+import argparse
+import json
+import time
+
+_LISTEN_S = 1.6
+"""Every process speaks once a second; one look waits a little longer than that."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments; heavy imports wait until `run`."""
+    parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
+    parser.add_argument("--domain", type=int, default=0, help="ROS domain (default 0)")
+    parser.add_argument("--once", action="store_true", help="look once and end; 1 if something is wrong")
+    parser.add_argument("--json", action="store_true", help="machine-readable, one object a line")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show the status until Ctrl-C; with --once 0 if every process is well, else 1."""
+    from runtime import links, rundir
+    from runtime.bus_zenoh import ZenohBus
+    from runtime.cli.screen import Screen
+    from runtime.health import Health
+    from runtime.status import status_of
+
+    run_dir = rundir.running(args.robot)
+    with ZenohBus(links.visitor(run_dir)) as bus:
+        health = Health(bus, args.robot, args.domain)
+        began = time.monotonic()
+        if args.once:
+            time.sleep(_LISTEN_S)
+            status = status_of(args.robot, health.vitals())
+            if args.json:
+                print(json.dumps(status.to_json()))
+            else:
+                _print(status)
+            well = all(line.level == "ok" for line in status.processes)
+            return 0 if well and status.processes else 1
+        with Screen(quiet=args.json) as screen:
+            while rundir.is_running(args.robot):
+                status = status_of(args.robot, health.vitals())
+                screen.show(status, time.monotonic() - began)
+                if args.json:
+                    print(json.dumps(status.to_json()), flush=True)
+                time.sleep(1.0 if args.json else 0.25)
+        print(f"robot {args.robot!r} has ended")
+        return 0
+
+
+def _print(status: object) -> None:
+    from rich.console import Console
+
+    from runtime.cli.screen import table
+    from runtime.status import Status
+
+    assert isinstance(status, Status)
+    Console(highlight=False).print(table(status, None))
