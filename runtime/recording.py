@@ -214,14 +214,16 @@ def salvage(path: Path, target: Path | None = None) -> tuple[Path, int, list[str
     state = reader.state
     about = dict(state.metadata)
     about["hallway.salvaged"] = {"from": path.name, "troubles": "; ".join(state.troubles()) or "none"}
-    writer = McapWriter(target, about, state.attachments)
+    partial = target.with_name(f".{target.name}.salvage")
+    writer = McapWriter(partial, about, state.attachments)
     count = 0
     for message in reader.messages():
         writer.add(message.channel, message.sequence, message.log_ns, message.publish_ns, message.payload)
         count += 1
     writer.finish()
-    again = McapReader(target)
+    again = McapReader(partial)
     found = sum(1 for _ in again.messages())
     if found != count or again.state.troubles():
-        raise AssertionError(f"{target}: {found} of {count} messages read back after recovery")
+        raise AssertionError(f"{partial}: {found} of {count} messages read back after recovery")
+    partial.rename(target)
     return target, count, state.troubles()

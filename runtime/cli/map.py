@@ -11,7 +11,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from runtime.cli.progress import Progress
-from runtime.errors import ConfigError, PositionLostError
+from runtime.errors import ConfigError, DataLostError, PositionLostError
 
 if TYPE_CHECKING:
     from runtime.formats.laser_log import LaserLog
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Map the log; 0 when done, 5 when the track ended lost, 130 after Ctrl-C, always with results."""
+    """Map the log; always with results: 0 done, 4 scans missing, 5 ended lost, 130 after Ctrl-C."""
     from runtime.formats.logs import open_log
     from runtime.results import check_free
 
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
     out = args.out or default_folder(args.log)
     check_free(out)
-    for notice in log.notices:
+    for notice in log.notices + log.losses:
         print(f"hallway map: {notice}", file=sys.stderr)
     offline = OfflineRun(config, args.seed)
     with _stop_on_sigint() as stopping, Progress(len(log), log.geometry.period_s, args.json) as progress:
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     if offline.state == "LOST":
         print("hallway map: the track was lost and not found again before the log ended", file=sys.stderr)
         return int(PositionLostError.exit_code)
-    return 0
+    return int(DataLostError.exit_code) if log.losses else 0
 
 
 def _config(path: Path | None) -> "OfflineConfig":

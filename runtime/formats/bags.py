@@ -1,13 +1,13 @@
-"""Laser scans in ROS 1 bags, ROS 2 bags and bare MCAP files, read by rosbags without ROS.
+"""Laser scans in ROS 1 bags, ROS 2 bags and MCAP files, read without ROS.
 
-The messages tell the geometry. The bag is read twice, first for stamps and rules, then scan by scan, so that
+The messages tell the geometry. The file is read twice, first for stamps and rules, then scan by scan, so that
 a day of scans needs no more memory than one.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,45 +22,75 @@ from runtime.formats.laser_log import (
     robust_period_s,
     stamp_notices,
 )
+from runtime.formats.mcap_log import LIBRARY, MAGIC, Gaps, McapReader
+from runtime.messages import BadMessageError, decode
 
 LASER_TYPE = "sensor_msgs/msg/LaserScan"
+
+
+class _Source(Protocol):
+    """Something with topics, some of them laser scans."""
+
+    def topics(self) -> dict[str, str]:
+        """Return name and type of each topic."""
+
+    def scans(self, topic: str) -> Iterator[Any]:
+        """Yield the LaserScan messages of a topic, in the order of the file."""
+
+    def losses(self, topic: str) -> tuple[str, ...]:
+        """Say what belongs into the file and is not there."""
+
+    @property
+    def clean(self) -> bool:
+        """Whether its ranges follow REP-117 already, because this program wrote them."""
 
 
 def read_bag(path: Path, topic: str | None = None) -> LaserLog:
     """Open the scans of a bag.
 
     Args:
-        path: A `.bag` file, a `.db3` or `.mcap` file, or the folder of a ROS 2 bag.
+        path: A `.bag`, `.db3` or `.mcap` file, also a cut `.mcap.active`, or the folder of a ROS 2 bag.
         topic: Which laser; may be left out when there is only one.
 
     Raises:
         FormatError: Nothing of that name, several lasers and no choice, a damaged bag, a change of geometry.
     """
+    source = _McapFile(path) if _is_mcap(path) else _RosBag(path)
+    chosen = _choose(path, source.topics(), topic)
     stamps: list[int] = []
     first: Any = None
     odd, first_odd = 0, ""
-    with _reader(path) as reader:
-        chosen = _choose(path, reader, topic)
-        for index, scan in enumerate(_scans(path, reader, chosen)):
-            shape = _shape(scan)
-            if first is None:
-                _check_geometry(path, scan)
-                first = scan
-            elif shape != _shape(first):
-                rule = (
-                    f"{chosen} scan {index + 1}: beams, angles {shape}, must stay {_shape(first)} in one log"
-                )
-                raise FormatError(path, rule)
-            wrong = np.flatnonzero(~(scan.ranges >= 0))  # many drivers say 0 for "no information"
-            if len(wrong) and not odd:
-                first_odd = f"scan {index + 1}, beam {wrong[0]}: {scan.ranges[wrong[0]]:g}"
-            odd += len(wrong)
-            stamps.append(scan.header.stamp.sec * 1_000_000_000 + scan.header.stamp.nanosec)
+    for index, scan in enumerate(source.scans(chosen)):
+        if first is None:
+            _check_geometry(path, scan)
+            first = scan
+        elif _shape(scan) != _shape(first):
+            rule = f"{chosen} scan {index + 1}: beams, angles {_shape(scan)}, must stay {_shape(first)}"
+            raise FormatError(path, rule)
+        # Many drivers say 0 for "no information", and this program says NaN.
+        wrong = np.flatnonzero(scan.ranges < 0) if source.clean else np.flatnonzero(~(scan.ranges >= 0))
+        if len(wrong) and not odd:
+            first_odd = f"scan {index + 1}, beam {wrong[0]}: {scan.ranges[wrong[0]]:g}"
+        odd += len(wrong)
+        stamps.append(scan.header.stamp.sec * 1_000_000_000 + scan.header.stamp.nanosec)
     if first is None:
         raise FormatError(path, f"0 scans on {chosen}, must be at least 1")
     stamps_ns = np.array(stamps, dtype=np.int64)
+    return LaserLog(
+        path=path,
+        kind="MCAP" if isinstance(source, _McapFile) else "ROS bag",
+        topic=chosen,
+        geometry=_geometry(first, stamps_ns),
+        stamps_ns=stamps_ns,
+        notices=stamp_notices(path, stamps_ns) + reading_notices(path, odd, first_odd),
+        read=_ranges(source, chosen),
+        losses=source.losses(chosen),
+    )
+
+
+def _geometry(first: Any, stamps_ns: NDArray[np.int64]) -> LaserGeometry:
     told_s = float(first.scan_time)
-    geometry = LaserGeometry(
+    return LaserGeometry(
         count=len(first.ranges),
         angle_min_rad=float(first.angle_min),
         angle_increment_rad=float(first.angle_increment),
@@ -71,60 +101,113 @@ def read_bag(path: Path, topic: str | None = None) -> LaserLog:
         range_max_m=float(first.range_max),
     )
 
-    def ranges() -> Iterator[NDArray[np.float32]]:
-        with _reader(path) as reader:
-            for scan in _scans(path, reader, chosen):
-                yield clean_ranges(scan.ranges, geometry.range_min_m, geometry.range_max_m)
 
-    return LaserLog(
-        path=path,
-        kind="bag",
-        topic=chosen,
-        geometry=geometry,
-        stamps_ns=stamps_ns,
-        notices=stamp_notices(path, stamps_ns) + reading_notices(path, odd, first_odd),
-        read=ranges,
-    )
+def _ranges(source: _Source, topic: str) -> Callable[[], Iterator[NDArray[np.float32]]]:
+    def read() -> Iterator[NDArray[np.float32]]:
+        for scan in source.scans(topic):
+            if source.clean:
+                yield np.array(scan.ranges, dtype=np.float32)
+            else:
+                yield clean_ranges(scan.ranges, float(scan.range_min), float(scan.range_max))
+
+    return read
 
 
-@contextmanager
-def _reader(path: Path) -> Iterator[Any]:
-    """Open any bag; whatever rosbags raises on damaged bytes becomes one FormatError."""
-    from rosbags.highlevel import AnyReader, AnyReaderError
-    from rosbags.typesys import Stores, get_typestore
+class _RosBag:
+    """ROS 1 and ROS 2 bags, through rosbags."""
 
-    # Bags of old ROS 2 releases carry no definitions of their own; LaserScan has not changed since.
-    reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
-    try:
-        reader.open()
-    except AnyReaderError as error:
-        raise FormatError(path, f"the bag cannot be opened: {_one_line(error)}") from error
-    except Exception as error:  # rosbags lets struct, zlib, sqlite and yaml errors of damaged bytes through
-        raise FormatError(path, f"the bag is cut or damaged: {_one_line(error)}") from error
-    try:
-        yield reader
-    finally:
-        reader.close()
+    clean = False
 
+    def __init__(self, path: Path) -> None:
+        self._path = path
 
-def _scans(path: Path, reader: Any, topic: str) -> Iterator[Any]:
-    connections = [one for one in reader.connections if one.topic == topic and one.msgtype == LASER_TYPE]
-    messages = reader.messages(connections=connections)
-    index = 0
-    while True:
+    def topics(self) -> dict[str, str]:
+        with self._reader() as reader:
+            return {one.topic: one.msgtype for one in reader.connections}
+
+    def losses(self, topic: str) -> tuple[str, ...]:
+        return ()
+
+    def scans(self, topic: str) -> Iterator[Any]:
+        with self._reader() as reader:
+            wanted = [one for one in reader.connections if one.topic == topic and one.msgtype == LASER_TYPE]
+            messages = reader.messages(connections=wanted)
+            index = 0
+            while True:
+                try:
+                    connection, _, raw = next(messages)
+                    scan = reader.deserialize(raw, connection.msgtype)
+                except StopIteration:
+                    return
+                except Exception as error:  # as in `_reader`: any error on damaged bytes
+                    rule = f"{topic} is damaged after scan {index}: {_one_line(error)}"
+                    raise FormatError(self._path, rule) from error
+                index += 1
+                yield scan
+
+    @contextmanager
+    def _reader(self) -> Iterator[Any]:
+        """Open any bag; whatever rosbags raises on damaged bytes becomes one FormatError."""
+        from rosbags.highlevel import AnyReader, AnyReaderError
+
+        from runtime.messages import TYPES
+
+        # Bags of old ROS 2 releases carry no definitions of their own; LaserScan has not changed since.
+        reader = AnyReader([self._path], default_typestore=TYPES)
         try:
-            connection, _, raw = next(messages)
-            scan = reader.deserialize(raw, connection.msgtype)
-        except StopIteration:
-            return
-        except Exception as error:  # as in `_reader`: any error on damaged bytes
-            raise FormatError(path, f"{topic} is damaged after scan {index}: {_one_line(error)}") from error
-        index += 1
-        yield scan
+            reader.open()
+        except AnyReaderError as error:
+            raise FormatError(self._path, f"the bag cannot be opened: {_one_line(error)}") from error
+        except Exception as error:  # struct, zlib, sqlite and yaml errors of damaged bytes come through
+            raise FormatError(self._path, f"the bag is cut or damaged: {_one_line(error)}") from error
+        try:
+            yield reader
+        finally:
+            reader.close()
 
 
-def _choose(path: Path, reader: Any, topic: str | None) -> str:
-    topics: dict[str, str] = {one.topic: one.msgtype for one in reader.connections}
+class _McapFile:
+    """MCAP files of any writer, finished or cut; their messages must be CDR."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        reader = McapReader(path)
+        self._gaps = Gaps()
+        self._topics: dict[str, str] = {}
+        for message in reader.messages():
+            self._topics[message.channel.topic] = message.channel.msgtype
+            self._gaps.see(message)
+        self._troubles = reader.state.troubles()
+        self.clean = reader.state.library == LIBRARY
+
+    def topics(self) -> dict[str, str]:
+        return self._topics
+
+    def losses(self, topic: str) -> tuple[str, ...]:
+        told = list(self._troubles)
+        if missing := self._gaps.missing.get(topic, 0):
+            told.append(f"{missing} scans of {topic} were never recorded, by its sequence numbers")
+        return tuple(f"{self._path}: {one}" for one in told)
+
+    def scans(self, topic: str) -> Iterator[Any]:
+        index = 0
+        for message in McapReader(self._path).messages():
+            if message.channel.topic == topic and message.channel.msgtype == LASER_TYPE:
+                index += 1
+                try:
+                    yield decode(message.payload, LASER_TYPE)
+                except BadMessageError as error:
+                    raise FormatError(self._path, f"{topic} scan {index}: {error}") from error
+
+
+def _is_mcap(path: Path) -> bool:
+    if path.is_dir():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
+
+
+def _choose(path: Path, topics: dict[str, str], topic: str | None) -> str:
     lasers = sorted(name for name, kind in topics.items() if kind == LASER_TYPE)
     if topic is not None:
         wanted = [name for name in lasers if name.lstrip("/") == topic.lstrip("/")]

@@ -57,6 +57,8 @@ class LaserLog:
     """What a reader should know and may ignore: odd values that were understood."""
     read: Callable[[], Iterator[NDArray[np.float32]]]
     """Start reading the ranges from the first scan."""
+    losses: tuple[str, ...] = ()
+    """What belongs into the log and is not there: a cut file, scans that were never recorded."""
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

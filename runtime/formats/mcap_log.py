@@ -24,6 +24,7 @@ CHUNK_BYTES = 256 * 1024
 ACTIVE_SUFFIX = ".active"
 """What is added to the name of a file that is being written, or that was cut."""
 CHANNEL_RECORD = "hallway.channel"
+_QOS = "offered_qos_profiles"  # a key that ros2 bag wants to find
 _MAX_RECORD_BYTES = 1 << 30
 
 
@@ -125,7 +126,7 @@ class McapWriter:
             text = TYPES.generate_msgdef(channel.msgtype, ros_version=2)[0]
             schema = self._writer.register_schema(channel.msgtype, "ros2msg", text.encode())
             self._schemas[channel.msgtype] = schema
-        metadata = {"offered_qos_profiles": "", **channel.metadata}
+        metadata = {_QOS: "", **channel.metadata}
         number = self._writer.register_channel(channel.topic, "cdr", schema, metadata)
         # MCAP names a channel only in the chunk where it first appears; should that chunk be damaged,
         # this says again what the later ones hold.
@@ -140,7 +141,9 @@ class ReadState:
 
     library: str = ""
     complete: bool = False
-    """Whether the end that a finished file has was reached."""
+    """Whether the end of the messages was reached."""
+    indexed: bool = False
+    """Whether the index behind it is there too; without it other programs refuse the file."""
     damaged_chunks: int = 0
     nameless: int = 0
     """Messages of channels of which nothing is known any more."""
@@ -154,6 +157,8 @@ class ReadState:
         told = []
         if not self.complete:
             told.append(f"the file was cut{f' ({self.ended})' if self.ended else ''}")
+        elif not self.indexed:
+            told.append("the index at the end of the file was cut; every message is there")
         if self.damaged_chunks:
             told.append(f"{self.damaged_chunks} damaged chunks were left out")
         if self.nameless:
@@ -182,7 +187,8 @@ class McapReader:
                 types[record.id] = record.name
             elif isinstance(record, Channel):
                 msgtype = types.get(record.schema_id, "")
-                channels[record.id] = McapChannel(record.topic, msgtype, dict(record.metadata))
+                metadata = {k: v for k, v in record.metadata.items() if k != _QOS}
+                channels[record.id] = McapChannel(record.topic, msgtype, metadata)
             elif isinstance(record, Message):
                 channel = channels.get(record.channel_id)
                 if channel is None:
@@ -217,8 +223,10 @@ class McapReader:
                     state.ended = state.ended or _words(error)
                     return
                 if isinstance(record, DataEnd):
-                    state.complete = True
-                    return  # what follows only repeats what was read
+                    state.complete = True  # what follows only repeats what was read
+                    file.seek(-len(MAGIC), os.SEEK_END)
+                    state.indexed = file.read() == MAGIC
+                    return
                 if isinstance(record, Chunk):
                     try:
                         parts = breakup_chunk(record, validate_crc=True)
@@ -228,6 +236,29 @@ class McapReader:
                     yield from parts
                 else:
                     yield record
+
+
+class Gaps:
+    """Finds holes in the sequence numbers of every publisher."""
+
+    def __init__(self) -> None:
+        self._last: dict[McapChannel, int] = {}
+        self.missing: dict[str, int] = {}
+        """For each topic, how many messages are not there between those that are."""
+        self.where: list[tuple[str, int, int, int]] = []
+        """Topic, arrival of the message after the hole, first missing number, how many."""
+
+    def see(self, message: McapMessage) -> None:
+        """Take the next message of the file; messages without a number tell nothing."""
+        if message.sequence <= 0:
+            return
+        last = self._last.get(message.channel)
+        self._last[message.channel] = message.sequence
+        if last is not None and message.sequence > last + 1:
+            count = message.sequence - last - 1
+            topic = message.channel.topic
+            self.missing[topic] = self.missing.get(topic, 0) + count
+            self.where.append((topic, message.log_ns, last + 1, count))
 
 
 def _words(error: Exception) -> str:

@@ -74,7 +74,7 @@ class OfflineRun:
             "topic": log.topic,
             "frame": "laser" if self._config.laser_in_base is None else "base_link",
             "scans": {"in_log": len(log), "used": len(stamps_ns)},
-            "notices": [notice.replace(str(log.path), log.path.name) for notice in log.notices],
+            "notices": [notice.replace(str(log.path), log.path.name) for notice in log.notices + log.losses],
         }
         return RunResult(
             config=self._config,

@@ -1,0 +1,365 @@
+"""Recordings: whole files for everybody, cut files up to the last flush, losses counted inside."""
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from runtime.formats.errors import FormatError
+from runtime.formats.logs import open_log
+from runtime.formats.mcap_log import Gaps, McapChannel, McapReader, McapWriter
+from runtime.messages import LaserScan, decode, encode, header
+from runtime.recording import STATUS_TYPE, Recording, RecordingConfig, salvage
+
+SCAN = McapChannel("/robot/scan", "sensor_msgs/msg/LaserScan", {"gid": "aa" * 16})
+S = 1_000_000_000
+PLENTY = lambda folder: 10**12  # noqa: E731
+
+
+def payload(number, beams=40, seed=3):
+    ranges = np.random.default_rng(seed + number).uniform(0.1, 5, beams).astype(np.float32)
+    ranges[0], ranges[1] = np.nan, np.inf
+    return encode(
+        LaserScan(
+            header=header(number * S // 10, "laser"),
+            angle_min=-1.0,
+            angle_max=1.0,
+            angle_increment=2.0 / (beams - 1),
+            time_increment=0.0,
+            scan_time=0.1,
+            range_min=0.02,
+            range_max=5.0,
+            ranges=ranges,
+            intensities=np.zeros(0, dtype=np.float32),
+        )
+    )
+
+
+def write_scans(writer, count, first=1):
+    for n in range(first, first + count):
+        writer.add(SCAN, n, n * S // 10 + 500, n * S // 10, payload(n))
+
+
+def recording(path, now_ns=0, free_bytes=PLENTY, **config):
+    return Recording(
+        path,
+        "robot",
+        RecordingConfig(**config),
+        now_ns,
+        {"seed": "7"},
+        {"config.yaml": b"a: 1\n"},
+        free_bytes,
+    )
+
+
+def read(path):
+    reader = McapReader(path)
+    return list(reader.messages()), reader.state
+
+
+def test_a_finished_file_is_read_by_the_reference_library_and_by_ros_tools(tmp_path):
+    writer = McapWriter(tmp_path / "a.mcap")
+    write_scans(writer, 50)
+    writer.finish()
+    with (tmp_path / "a.mcap").open("rb") as file:
+        rows = list(make_reader(file).iter_messages())
+    assert [message.sequence for _, _, message in rows] == list(range(1, 51))
+    assert {(schema.name, schema.encoding, channel.message_encoding) for schema, channel, _ in rows} == {
+        ("sensor_msgs/msg/LaserScan", "ros2msg", "cdr")
+    }
+    with AnyReader([tmp_path / "a.mcap"]) as bag:
+        scans = [bag.deserialize(raw, connection.msgtype) for connection, _, raw in bag.messages()]
+    np.testing.assert_array_equal(scans[4].ranges, decode(payload(5), SCAN.msgtype).ranges)
+
+
+def test_what_was_written_is_read_byte_for_byte_with_stamps_numbers_and_publisher(tmp_path):
+    writer = McapWriter(tmp_path / "a.mcap", {"hallway": {"seed": "7"}}, {"config.yaml": b"a: 1\n"})
+    write_scans(writer, 3)
+    writer.finish({"hallway.end": {"written": "3"}})
+    messages, state = read(tmp_path / "a.mcap")
+    assert [(m.sequence, m.log_ns, m.publish_ns) for m in messages] == [
+        (n, n * S // 10 + 500, n * S // 10) for n in (1, 2, 3)
+    ]
+    assert [m.payload for m in messages] == [payload(n) for n in (1, 2, 3)]
+    assert messages[0].channel.publisher == "aa" * 16
+    assert state.complete
+    assert state.metadata == {"hallway": {"seed": "7"}, "hallway.end": {"written": "3"}}
+    assert state.attachments == {"config.yaml": b"a: 1\n"}
+    assert state.troubles() == []
+
+
+def test_a_file_is_called_active_until_it_is_whole(tmp_path):
+    writer = McapWriter(tmp_path / "a.mcap")
+    write_scans(writer, 1)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.active"]
+    writer.finish()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+@pytest.mark.parametrize("keep", [0.1, 0.37, 0.5, 0.8, 0.99])
+def test_a_cut_file_is_read_up_to_its_last_whole_chunk(tmp_path, keep):
+    writer = McapWriter(tmp_path / "a.mcap")
+    for first in range(1, 101, 10):
+        write_scans(writer, 10, first)
+        writer.flush()
+    writer.finish()
+    data = (tmp_path / "a.mcap").read_bytes()
+    (tmp_path / "cut.mcap.active").write_bytes(data[: int(len(data) * keep)])
+    messages, state = read(tmp_path / "cut.mcap.active")
+    assert [m.sequence for m in messages] == list(range(1, len(messages) + 1))
+    assert len(messages) % 10 == 0
+    assert (len(messages) == 100) == state.complete == (keep == 0.99)
+    told = "the index at the end of the file was cut" if state.complete else "the file was cut"
+    assert state.troubles()[0].startswith(told)
+
+
+def test_any_cut_at_all_is_read_without_an_error(tmp_path):
+    writer = McapWriter(tmp_path / "a.mcap", {"hallway": {"seed": "7"}}, {"config.yaml": b"a: 1\n"})
+    for first in (1, 3, 5):
+        write_scans(writer, 2, first)
+        writer.flush()
+    writer.finish()
+    data = (tmp_path / "a.mcap").read_bytes()
+    found = []
+    for end in range(8, len(data)):
+        (tmp_path / "b").write_bytes(data[:end])
+        messages, state = read(tmp_path / "b")
+        found.append(len(messages))
+        assert all(m.payload == payload(m.sequence) for m in messages)
+        assert state.complete or state.troubles()
+    assert found == sorted(found)
+    assert found[0] == 0
+    assert found[-1] == 6
+
+
+def test_a_flipped_byte_costs_its_chunk_and_is_told(tmp_path):
+    writer = McapWriter(tmp_path / "a.mcap")
+    for first in range(1, 31, 10):
+        write_scans(writer, 10, first)
+        writer.flush()
+    writer.finish()
+    data = bytearray((tmp_path / "a.mcap").read_bytes())
+    data[data.find(b"zstd", len(data) // 3) + 200] ^= 0x55
+    (tmp_path / "a.mcap").write_bytes(data)
+    messages, state = read(tmp_path / "a.mcap")
+    assert len(messages) == 20
+    assert state.troubles() == ["1 damaged chunks were left out"]
+
+
+def test_messages_keep_their_topic_when_the_chunk_that_named_it_is_damaged(tmp_path):
+    writer = McapWriter(tmp_path / "a.mcap")
+    for first in (1, 11):
+        write_scans(writer, 10, first)
+        writer.flush()
+    writer.finish()
+    data = bytearray((tmp_path / "a.mcap").read_bytes())
+    data[data.find(b"zstd") + 200] ^= 0x55
+    (tmp_path / "a.mcap").write_bytes(data)
+    messages, state = read(tmp_path / "a.mcap")
+    assert [m.sequence for m in messages] == list(range(11, 21))
+    assert messages[0].channel == SCAN
+    assert (state.damaged_chunks, state.nameless) == (1, 0)
+
+
+def test_another_file_is_refused(tmp_path):
+    (tmp_path / "a.mcap").write_bytes(b"no recording at all")
+    with pytest.raises(FormatError, match="not an MCAP file"):
+        read(tmp_path / "a.mcap")
+
+
+def test_holes_in_the_numbers_of_a_publisher_are_found_where_they_are(tmp_path):
+    gaps = Gaps()
+    other = McapChannel("/robot/scan", SCAN.msgtype, {"gid": "bb" * 16})
+    writer = McapWriter(tmp_path / "a.mcap")
+    for channel, number in ((SCAN, 1), (SCAN, 2), (other, 900), (SCAN, 5), (other, 901), (SCAN, 6)):
+        writer.add(channel, number, number * S, 0, b"")
+    writer.finish()
+    for message in read(tmp_path / "a.mcap")[0]:
+        gaps.see(message)
+    assert gaps.missing == {"/robot/scan": 2}
+    assert gaps.where == [("/robot/scan", 5 * S, 3, 2)]
+
+
+# ---- the recording: flush, split, disk, losses ----
+
+
+def test_a_kill_costs_what_came_after_the_last_second(tmp_path):
+    rec = recording(tmp_path / "a.mcap")
+    for n in range(1, 26):
+        rec.add(SCAN, n, n * S // 10, n * S // 10, payload(n))
+        rec.tick(n * S // 10, {})
+    # Nothing is closed: what a killed process leaves is what the file holds now.
+    messages, state = read(tmp_path / "a.mcap.active")
+    scans = [m.sequence for m in messages if m.channel == SCAN]
+    assert scans == list(range(1, 21))
+    assert state.metadata["hallway"]["seed"] == "7"
+    assert state.attachments == {"config.yaml": b"a: 1\n"}
+    rec.close(3 * S)
+    assert len(read(tmp_path / "a.mcap")[0]) == 25 + 3  # and a status at each second and at the end
+
+
+def test_losses_are_counted_inside_the_file(tmp_path):
+    rec = recording(tmp_path / "a.mcap")
+    rec.add(SCAN, 1, 1, 1, payload(1))
+    rec.tick(2 * S, {"scan": 3, "odom": 1})
+    messages, _ = read(tmp_path / "a.mcap.active")
+    (status,) = [decode(m.payload, STATUS_TYPE).status[0] for m in messages if m.channel.name == "recording"]
+    assert status.level == 1
+    assert status.message == "4 messages lost"
+    assert {one.key: one.value for one in status.values} == {
+        "written": "1", "unwritten": "0", "scan.lost": "3", "odom.lost": "1",
+    }  # fmt: skip
+    rec.close(3 * S)
+    assert read(tmp_path / "a.mcap")[1].metadata["hallway.end"]["scan.lost"] == "3"
+    assert rec.counts.total_lost == 4
+
+
+def test_a_recording_is_split_by_time_and_each_part_is_whole(tmp_path):
+    rec = recording(tmp_path / "a.mcap", split_s=2.0)
+    for n in range(1, 51):
+        rec.add(SCAN, n, n * S // 10, n * S // 10, payload(n))
+        rec.tick(n * S // 10, {})
+    rec.close(5 * S)
+    assert [path.name for path in rec.files] == ["a_000.mcap", "a_001.mcap", "a_002.mcap"]
+    parts = [read(path) for path in rec.files]
+    scans = [m.sequence for messages, _ in parts for m in messages if m.channel == SCAN]
+    assert scans == list(range(1, 51))
+    assert [state.metadata["hallway"]["file"] for _, state in parts] == ["0", "1", "2"]
+    assert all(state.complete and state.attachments for _, state in parts)
+
+
+def test_a_recording_is_split_by_size(tmp_path):
+    rec = recording(tmp_path / "a.mcap", split_mb=1.0)
+    noise = np.random.default_rng(5)
+    for n in range(1, 36):
+        rec.add(SCAN, n, n * S, n * S, noise.bytes(100_000))
+        rec.tick(n * S, {})
+    rec.close(36 * S)
+    assert len(rec.files) == 4
+    assert all(1.0e6 < path.stat().st_size < 1.3e6 for path in rec.files[:-1])
+
+
+def test_the_disk_is_never_filled_to_the_end(tmp_path):
+    free = [600e6]
+    rec = recording(tmp_path / "a.mcap", free_bytes=lambda folder: int(free[0]), min_free_mb=500.0)
+    rec.add(SCAN, 1, 1, 1, payload(1))
+    rec.tick(1 * S, {})
+    free[0] = 499e6
+    rec.add(SCAN, 2, 2, 2, payload(2))
+    rec.tick(2 * S, {})
+    assert rec.full
+    rec.add(SCAN, 3, 3, 3, payload(3))
+    rec.tick(3 * S, {})
+    rec.close(4 * S)
+    messages, state = read(tmp_path / "a.mcap")
+    assert state.complete
+    assert [m.sequence for m in messages if m.channel == SCAN] == [1, 2]
+    assert rec.counts.unwritten == 1
+
+
+def test_a_disk_that_is_full_from_the_start_makes_no_file(tmp_path):
+    rec = recording(tmp_path / "a.mcap", free_bytes=lambda folder: 0)
+    rec.add(SCAN, 1, 1, 1, payload(1))
+    rec.close(S)
+    assert rec.full
+    assert rec.counts.total_lost == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_write_that_fails_leaves_what_was_flushed(tmp_path):
+    rec = recording(tmp_path / "a.mcap")
+    rec.add(SCAN, 1, 1, 1, payload(1))
+    rec.tick(1 * S, {})
+    rec.add(SCAN, 2, 2, 2, payload(2))
+    rec._writer._file.close()  # as if the disk had gone
+    rec._writer._file = _Gone()
+    rec._writer._writer._Writer__stream = _Gone()
+    rec.tick(2 * S, {})
+    rec.add(SCAN, 3, 3, 3, payload(3))
+    assert rec.full
+    assert rec.counts.unwritten == 1
+    assert [m.sequence for m in read(tmp_path / "a.mcap.active")[0] if m.channel == SCAN] == [1]
+
+
+class _Gone:
+    def write(self, data):
+        raise OSError(28, "No space left on device")
+
+    def flush(self):
+        raise OSError(28, "No space left on device")
+
+    def tell(self):
+        return 0
+
+    def close(self):
+        pass
+
+
+def test_an_earlier_recording_is_never_overwritten(tmp_path):
+    (tmp_path / "a.mcap").write_bytes(b"whole")
+    (tmp_path / "a_001.mcap.active").write_bytes(b"cut")
+    rec = recording(tmp_path / "a.mcap")
+    rec.close(S)
+    assert rec.files == [tmp_path / "a_002.mcap"]
+    again = recording(tmp_path / "a.mcap")
+    again.close(S)
+    assert again.files == [tmp_path / "a_003.mcap"]
+    assert (tmp_path / "a.mcap").read_bytes() == b"whole"
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [({"split_mb": 0.5}, "split_mb = 0.5"), ({"split_s": -1}, "split_s = -1"), ({"min_free_mb": -1}, "must")],
+)
+def test_a_wrong_configuration_is_refused(config, said):
+    with pytest.raises(ValueError, match=said):
+        RecordingConfig(**config)
+
+
+# ---- recovery ----
+
+
+def test_a_cut_file_becomes_a_whole_one_that_everybody_reads(tmp_path):
+    rec = recording(tmp_path / "a.mcap")
+    for n in range(1, 26):
+        rec.add(SCAN, n, n * S // 10, n * S // 10, payload(n))
+        rec.tick(n * S // 10, {})
+    rec._writer.abandon()
+    target, count, troubles = salvage(tmp_path / "a.mcap.active")
+    assert (target, count) == (tmp_path / "a.mcap", 22)
+    assert "the file was cut" in troubles[0]
+    messages, state = read(target)
+    assert state.complete
+    assert [m.payload for m in messages if m.channel == SCAN] == [payload(n) for n in range(1, 21)]
+    assert state.metadata["hallway.salvaged"]["from"] == "a.mcap.active"
+    assert state.attachments == {"config.yaml": b"a: 1\n"}
+    with AnyReader([target]) as bag:
+        assert sum(1 for _ in bag.messages()) == 22
+    with pytest.raises(FileExistsError):
+        salvage(tmp_path / "a.mcap.active")
+
+
+# ---- a recording is a laser log ----
+
+
+def test_a_recording_is_mapped_from_its_scans_with_their_own_bits(tmp_path):
+    writer = McapWriter(tmp_path / "a.mcap")
+    write_scans(writer, 5)
+    writer.finish()
+    log = open_log(tmp_path / "a.mcap")
+    assert log.kind == "MCAP"
+    assert log.stamps_ns.tolist() == [n * S // 10 for n in range(1, 6)]
+    for record, n in zip(log, range(1, 6), strict=True):
+        assert record.ranges_m.tobytes() == decode(payload(n), SCAN.msgtype).ranges.tobytes()
+    assert log.losses == log.notices == ()
+
+
+def test_what_is_missing_in_a_recording_is_told_by_its_log(tmp_path):
+    writer = McapWriter(tmp_path / "a.mcap")
+    write_scans(writer, 5)
+    write_scans(writer, 5, first=8)
+    writer.flush()
+    writer.abandon()
+    (first, second) = open_log(tmp_path / "a.mcap.active").losses
+    assert "the file was cut" in first
+    assert "2 scans of /robot/scan were never recorded" in second
