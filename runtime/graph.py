@@ -173,8 +173,9 @@ def _import(name: str, place: str) -> ModuleType:
     except ModuleNotFoundError as error:
         if error.name is None or not f"{full}.".startswith(f"{error.name}."):
             raise ConfigError(f"{place} = {name!r}: needs {error.name!r}, which is not installed") from error
-        known = [m.name for m in pkgutil.iter_modules(importlib.import_module(_HOME).__path__)]
-        configuration.refuse_unknown([name], known, place)
+        if "." not in name:
+            known = [m.name for m in pkgutil.iter_modules(importlib.import_module(_HOME).__path__)]
+            configuration.refuse_unknown([name], known, place)
         raise ConfigError(f"{place} = {name!r}: no such module") from error
     except ImportError as error:
         raise ConfigError(f"{place} = {name!r}: cannot be imported: {error}") from error
