@@ -8,6 +8,7 @@ Law: a stamp is never guessed.  A scan that fits the line badly is held back unt
 it was late (the line holds), its stamp is wrong (it is dropped), or a clock has jumped (a new line begins).
 """
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from itertools import pairwise
@@ -29,6 +30,8 @@ class ClockConfig:
     """How far the envelope looks back."""
     latency_ms: float = 99.0
     """From step 0 to the first byte at the host, at least."""
+    jitter_ms: float = 2.0
+    """How much later than that scans usually come, at most."""
     drift_limit: float = 0.0025
     """By how much the two clocks can differ in rate."""
     jump_ms: float = 50.0
@@ -39,6 +42,8 @@ class ClockConfig:
             raise ValueError(f"window_s = {self.window_s}, must be in [1, 60]")
         if not 0.0 <= self.latency_ms <= 1000.0:
             raise ValueError(f"latency_ms = {self.latency_ms}, must be in [0, 1000]")
+        if not 0.0 <= self.jitter_ms <= 20.0:
+            raise ValueError(f"jitter_ms = {self.jitter_ms}, must be in [0, 20]")
         if not 0.0 <= self.drift_limit <= 0.01:
             raise ValueError(f"drift_limit = {self.drift_limit}, must be in [0, 0.01]")
         if not 5.0 <= self.jump_ms <= 1000.0:
@@ -186,8 +191,12 @@ class ClockMap:
         return self._intercept_ms + self._slope * sensor_ms
 
     def _host_ns(self, sensor_ms: float) -> int:
-        host_ms = sensor_ms + self._offset_ms(sensor_ms) - self._config.latency_ms + _QUANTUM_MS
-        return self._origin_ns + round(host_ms * 1e6)
+        # Even the least delay of a few scans is late by something: of n delays that are each spread over the
+        # jitter and over the counter's millisecond, by this much on average.
+        jitter_ms = self._config.jitter_ms
+        excess_ms = min(math.sqrt(math.pi / 2 * jitter_ms / len(self._window)), (jitter_ms + 1.0) / 2)
+        latency_ms = self._config.latency_ms + excess_ms - _QUANTUM_MS
+        return self._origin_ns + round((sensor_ms + self._offset_ms(sensor_ms) - latency_ms) * 1e6)
 
 
 def _turns_right(a: tuple[float, float], b: tuple[float, float], x: float, y: float) -> bool:

@@ -124,7 +124,9 @@ class Decoder:
 
     def _read_block(self, block: bytes) -> ScanReply | Reply | None:
         """Read one block (it ends in one LF); on damage look for a reply that begins inside it."""
-        block = block[-BUFFER_BYTES:]
+        if len(block) > BUFFER_BYTES:  # only a very long chunk makes one
+            self.skipped_bytes += len(block) - BUFFER_BYTES
+            block = block[-BUFFER_BYTES:]
         start = len(block) - len(block.lstrip(LF))
         if start == len(block):
             return None  # an empty line more or less means nothing
@@ -136,17 +138,17 @@ class Decoder:
                 if not isinstance(later, str):
                     self.damaged["no end"] += 1
                     self.skipped_bytes += at
-                    return self._own(later, block)
+                    return self._own(later, len(block) + 1 - at)
             self.damaged[reply] += 1
             self.skipped_bytes += len(block) + 1
             return None
-        return self._own(reply, block)
+        return self._own(reply, len(block) + 1 - start)
 
-    def _own(self, reply: ScanReply | Reply, block: bytes) -> ScanReply | Reply | None:
+    def _own(self, reply: ScanReply | Reply, size: int) -> ScanReply | Reply | None:
         """Count what answers somebody else's request."""
         if isinstance(reply, Reply) and reply.status == b"99":
             self.foreign += 1
-            self.skipped_bytes += len(block) + 1
+            self.skipped_bytes += size
             return None
         return reply
 

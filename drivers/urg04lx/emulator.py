@@ -26,6 +26,8 @@ from drivers.urg04lx.wire import Wire
 
 PERIOD_NS = 99_889_000
 """Mean revolution of a real unit: 600.67 rpm."""
+_SWEEP_NS = 80_000_000
+"""After it the last ray is in, and the reply is made."""
 _LATENCY_NS = 99_000_000
 _JITTER_NS = 2_000_000
 _FOREVER_NS = 1 << 62
@@ -83,7 +85,9 @@ class Emulator:
         self._host_step_ns = 0
         self._timer_zero_ns = self._turn_ns = self._true_ns()
         self._ready_ns = self._turn_ns
+        self._swept_ns = self._turn_ns + _SWEEP_NS
         self._due_ns = self._turn_ns + _LATENCY_NS
+        self._prepared: tuple[int, int, bytes] | None = None
         self._sweep: NDArray[np.int32] | None = None
         self._skipped = 0
         self._pending: deque[bytes] = deque()
@@ -207,14 +211,17 @@ class Emulator:
         while not self._closing:
             with self._lock:
                 now_ns = self._true_ns()
-                while now_ns >= self._due_ns:
-                    self._finish_turn()
+                while now_ns >= min(self._swept_ns, self._due_ns):
+                    if self._swept_ns < self._due_ns:
+                        self._end_sweep()
+                    else:
+                        self._end_turn()
                 while self._fast and self._pending:
                     self._answer(self._pending.popleft(), now_ns)
                 piece_ns = self._wire.transmit(now_ns, self.sensor.baud)
                 if not self._wire.busy:
                     self.sensor.baud = self.sensor.next_baud
-                wait_until_ns = self._due_ns if piece_ns is None else min(self._due_ns, piece_ns)
+                wait_until_ns = min(self._swept_ns, self._due_ns, piece_ns or self._due_ns)
                 fds = [self._wake_r, *([self._wire.master] if self._wire.plugged else [])]
             wait_s = max(0.0, (wait_until_ns - self._true_ns()) / 1e9 / self._speed)
             # Unplugging closes descriptors under the waiting thread; the next round knows better.
@@ -238,33 +245,37 @@ class Emulator:
             if self._true_ns() >= self._silent_until_ns:
                 self._pending.append(line)
 
-    def _finish_turn(self) -> None:
-        """End a revolution: send its sweep if it is wanted, or answer one command."""
-        step_0_ns, at_ns = self._turn_ns, self._due_ns
-        self._turn_ns += PERIOD_NS
-        self._due_ns = self._turn_ns + _LATENCY_NS + int(self._rng.integers(_JITTER_NS))
-        request = self._pending.popleft() if self._pending else b""
-        # These end what is running; a sweep that has not begun to leave never does.
-        if (
-            not request.startswith((b"QT", b"RS", b"M"))
-            and self.sensor.stream
-            and step_0_ns >= self._ready_ns
-        ):
-            self._send_sweep(step_0_ns, at_ns)
-        if request:
-            self._answer(request, at_ns + self._delay_ns)
-
-    def _send_sweep(self, step_0_ns: int, at_ns: int) -> None:
+    def _end_sweep(self) -> None:
+        """Make a reply of the sweep that has just ended, if one is wanted; it leaves a little later."""
+        step_0_ns, self._swept_ns = self._turn_ns, self._swept_ns + PERIOD_NS
         stream = self.sensor.stream
-        assert stream is not None
+        if stream is None or step_0_ns < self._ready_ns:
+            return
         self._skipped = (self._skipped + 1) % (stream.skip + 1)
         if self._skipped:
             return
-        if self._wire.busy or at_ns < self._silent_until_ns:
-            self.dropped += at_ns >= self._silent_until_ns
-            return
         stamp_ms = self._sensor_ms(step_0_ns)
-        reply = self.sensor.scan(stamp_ms, self._look(step_0_ns))
+        self._prepared = stamp_ms, step_0_ns, self.sensor.scan(stamp_ms, self._look(step_0_ns))
+
+    def _end_turn(self) -> None:
+        """Send the sweep that is ready, and answer one command."""
+        at_ns = self._due_ns
+        self._turn_ns += PERIOD_NS
+        self._due_ns = self._turn_ns + _LATENCY_NS + int(self._rng.integers(_JITTER_NS))
+        request = self._pending.popleft() if self._pending else b""
+        sweep, self._prepared = self._prepared, None
+        # These end what is running; a sweep that has not begun to leave never does.
+        if sweep and not request.startswith((b"QT", b"RS", b"M")):
+            self._send_sweep(*sweep, at_ns)
+        if request:
+            self._answer(request, at_ns + self._delay_ns)
+
+    def _send_sweep(self, stamp_ms: int, step_0_ns: int, reply: bytes, at_ns: int) -> None:
+        if at_ns < self._silent_until_ns:
+            return
+        if self._wire.busy:
+            self.dropped += 1
+            return
         self.sweeps.append((stamp_ms, step_0_ns + self._host_step_ns))
         if self._spoils:
             damage, left, every = self._spoils.popleft()
@@ -302,6 +313,7 @@ class Emulator:
         self.sensor = Sensor(self.sensor.model, mode)
         self._pending.clear()
         self._input = b""
+        self._prepared = None
         self._wire.clear()
         self._restart_timer()
 

@@ -198,7 +198,8 @@ class Sensor:
 
     def _reset(self, line: bytes, _command: bytes, _now_ms: int) -> bytes:
         self.stream = None
-        self.mode = Mode.IDLE
+        if self.mode is not Mode.UPDATE:
+            self.mode = Mode.IDLE
         self.next_baud = DEFAULT_BAUD
         self.timer_reset = True
         return encode_reply(line, b"00")
