@@ -39,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from runtime import rundir
     from runtime.bus_zenoh import ZenohBus
     from runtime.cli.screen import Screen
+    from runtime.config import to_yaml
     from runtime.errors import ConfigError
     from runtime.run import Run
 
@@ -60,6 +61,8 @@ def run(args: argparse.Namespace) -> int:
         if headless and not args.headless:
             screen.say("no screen here: running as with --headless")
         screen.say(f"{graph.robot}: {len(graph.nodes)} processes of {file.name}; results in {out}/")
+        config = _resolved_config(graph, resolved)
+        (run_dir / "config.yaml").write_text(to_yaml(config), encoding="utf-8")  # for the recorder
         live = Run(
             graph,
             file,
@@ -73,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         finally:
             live.close()
         code = _exit_code(live, interrupted)
-        report = _save(live, graph, resolved, out, args, code)
+        report = _save(live, config, out, args, code)
     _say(report, args.json)
     return code
 
@@ -154,17 +157,20 @@ def _exit_code(live: "Run", interrupted: bool) -> int:
     return 130 if interrupted else 0
 
 
+def _resolved_config(graph: "Graph", resolved: dict[str, Any]) -> dict[str, Any]:
+    nodes = {name: node["config"] for name, node in resolved.items()}
+    return {"robot": graph.robot, "domain": graph.domain, "seed": graph.seed, "nodes": nodes}
+
+
 def _save(
-    live: "Run", graph: "Graph", resolved: dict[str, Any], out: Path, args: argparse.Namespace, code: int
+    live: "Run", config: dict[str, Any], out: Path, args: argparse.Namespace, code: int
 ) -> dict[str, Any]:
     from runtime.results import link_latest, provenance
     from runtime.run import collect
 
-    about = {**provenance(graph.seed), "graph": args.graph, **live.summary(), "exit_code": code}
+    about = {**provenance(live.graph.seed), "graph": args.graph, **live.summary(), "exit_code": code}
     about["events"] = [f"{e.stamp_ns} {e.node}: {e.text}" for e in live.events]
-    nodes = {name: node["config"] for name, node in resolved.items()}
-    config = {"robot": graph.robot, "domain": graph.domain, "seed": graph.seed, "nodes": nodes}
-    metrics = collect(out, list(graph.nodes), about, config)
+    metrics = collect(out, list(live.graph.nodes), about, config)
     if args.out is None:
         link_latest(out)
     failed = live.supervisor.failed
