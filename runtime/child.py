@@ -139,6 +139,15 @@ class Child:
         self.signal(signal.SIGINT)
         self.signal(signal.SIGCONT)
 
+    def end(self) -> None:
+        """End the process and everything it started, and wait until it is gone."""
+        if (process := self._process) is not None:
+            self.stop()
+            _end_group(process.pid)
+            process.wait()
+            self._process = None
+            self.enter(State.ENDED)
+
     def rotate_log(self) -> None:
         """Keep the log and its predecessors bounded."""
         try:

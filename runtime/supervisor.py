@@ -133,7 +133,7 @@ class Supervisor:
     def close(self) -> None:
         """End everything at once, whatever state it is in."""
         for child in self.children.values():
-            child.signal(signal.SIGKILL)
+            child.end()
 
     def _may_start(self, child: Child) -> bool:
         hub = self.children.get(HUB)

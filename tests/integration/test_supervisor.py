@@ -1,0 +1,259 @@
+"""Real processes under supervision: started in order, started again, given up, and all gone in the end."""
+
+import contextlib
+import os
+import signal
+import sys
+import time
+
+import pytest
+
+from runtime.child import State, last_line
+from runtime.clock import OFFSET_VARIABLE, Clock
+from runtime.graph import Graph, NodeSpec
+from runtime.supervisor import KILL_AFTER_S, Supervisor
+
+SLEEPS = "import time; time.sleep(600)"
+POLITE = (
+    "import signal, sys, time\n"
+    "signal.signal(signal.SIGINT, lambda *_: sys.exit(0))\n"
+    "print('up', flush=True)\n"
+    "time.sleep(600)"
+)
+STUBBORN = (
+    "import signal, time\n"
+    "for number in (signal.SIGINT, signal.SIGTERM):\n"
+    "    signal.signal(number, signal.SIG_IGN)\n"
+    "print('up', flush=True)\n"
+    "while True: time.sleep(600)"
+)
+
+
+class Scene:
+    """A supervisor over one-line programs; the test says who is ready."""
+
+    def __init__(self, folder, programs, **specs):
+        self.logs = folder / "logs"
+        self.events = []
+        self.forgotten = []
+        self.clock = Clock()
+        nodes = {name: specs.get(name, NodeSpec(module="m")) for name in programs}
+        self.supervisor = Supervisor(
+            Graph(nodes=nodes),
+            {name: [sys.executable, "-c", text] for name, text in programs.items()},
+            self.logs,
+            self.clock,
+            lambda event: self.events.append((event.node, event.text)),
+            self.forgotten.append,
+        )
+        self.children = self.supervisor.children
+        self.ready, self.silent = set(), set()
+
+    def until(self, condition, within_s=20.0):
+        end = time.monotonic() + within_s
+        while not condition():
+            assert time.monotonic() < end, self.events
+            self.supervisor.step(self.ready, self.silent)
+            time.sleep(0.01)
+
+    def state(self, name):
+        return self.children[name].state
+
+    def wrote(self, name, text):
+        log = self.logs / f"{name}.log"
+        return log.exists() and log.read_text() == text
+
+    def said(self, name):
+        return [text for node, text in self.events if node == name]
+
+
+@pytest.fixture
+def scene(tmp_path):
+    made = []
+
+    def make(programs, **specs):
+        made.append(Scene(tmp_path, programs, **specs))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.supervisor.close()
+        assert all(child.pid is None for child in one.children.values())
+
+
+def alive(pid):
+    with contextlib.suppress(ProcessLookupError, FileNotFoundError):
+        os.kill(pid, 0)
+        with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+def test_a_node_starts_when_those_before_it_are_ready(scene):
+    stage = scene({"b": SLEEPS, "a": SLEEPS}, b=NodeSpec(module="m", after=("a",)))
+    stage.until(lambda: stage.state("a") is State.STARTING)
+    assert stage.state("b") is State.WAITING
+    stage.ready = {"a"}
+    stage.until(lambda: stage.state("b") is State.STARTING)
+    assert stage.state("a") is State.RUNNING
+    assert not stage.supervisor.all_ready
+    stage.ready = {"a", "b"}
+    stage.until(lambda: stage.supervisor.all_ready)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGSTOP])
+def test_a_process_that_dies_or_freezes_is_there_again_within_two_seconds(scene, number):
+    stage = scene({"a": SLEEPS})
+    stage.ready = {"a"}
+    stage.until(lambda: stage.state("a") is State.RUNNING)
+    stage.ready = set()
+    first = stage.children["a"].pid
+    began = time.monotonic()
+    os.kill(first, number)
+    stage.until(lambda: stage.children["a"].pid not in (None, first))
+    assert time.monotonic() - began < 2.0
+    assert stage.children["a"].restarts == 1
+    why = "was stopped by a signal" if number == signal.SIGSTOP else f"killed by {number.name}"
+    assert stage.children["a"].reasons[-1] == why
+    assert stage.forgotten == ["a"]
+
+
+def test_each_failure_waits_longer_and_a_crash_loop_is_given_up(scene, monkeypatch):
+    monkeypatch.setattr("runtime.child._BACKOFF_S", (0.0, 0.01, 0.02, 0.03, 0.04, 0.05))
+    stage = scene({"a": "import sys; sys.exit('boom: 7 is too much')"})
+    stage.until(lambda: stage.supervisor.over)
+    assert stage.state("a") is State.FAILED
+    assert stage.children["a"].restarts == 5
+    assert stage.said("a")[1] == "exit code 1: boom: 7 is too much; starts again in 0 s"
+    assert stage.said("a")[3] == "exit code 1: boom: 7 is too much; starts again in 0.01 s"
+    assert stage.said("a")[-1] == "exit code 1: boom: 7 is too much; crash loop: 6 failures, given up"
+    assert stage.supervisor.failed is stage.children["a"]
+
+
+def test_a_wrong_configuration_or_a_missing_device_is_not_tried_again(scene):
+    for code in (2, 3):
+        stage = scene({"a": f"import sys; sys.exit({code})"})
+        stage.until(lambda stage=stage: stage.supervisor.over)
+        assert (stage.children["a"].restarts, stage.children["a"].exit_code) == (0, code)
+
+
+def test_a_device_that_was_there_once_is_waited_for(scene):
+    stage = scene({"a": "import sys, time; time.sleep(0.3); sys.exit(3)"})
+    stage.ready = {"a"}
+    stage.until(lambda: stage.children["a"].restarts == 1)
+    assert stage.supervisor.failed is None
+
+
+def test_the_end_of_a_required_node_ends_the_run_and_that_of_another_does_not(scene):
+    never = NodeSpec(module="m", restart="never")
+    optional = NodeSpec(module="m", restart="never", required=False)
+    stage = scene({"a": "raise SystemExit(1)", "b": POLITE}, a=optional)
+    stage.until(lambda: stage.state("a") is State.FAILED)
+    assert not stage.supervisor.stopping
+    stage = scene({"a": "raise SystemExit(4)", "b": POLITE}, a=never)
+    stage.until(lambda: stage.supervisor.over)
+    assert stage.supervisor.failed.exit_code == 4
+    assert stage.state("b") is State.ENDED
+
+
+def test_a_node_that_has_done_its_work_is_not_started_again_unless_it_always_is(scene):
+    stage = scene({"a": "", "b": ""}, b=NodeSpec(module="m", restart="always"))
+    stage.until(lambda: stage.state("a") is State.ENDED and stage.children["b"].restarts > 0)
+    assert stage.children["a"].restarts == 0
+    assert stage.said("a") == ["starts", "ended by itself"]
+
+
+def test_a_node_that_is_never_ready_is_ended_and_says_so(scene):
+    stage = scene({"a": SLEEPS}, a=NodeSpec(module="m", start_s=0.2, restart="never"))
+    stage.until(lambda: stage.state("a") is State.FAILED)
+    assert stage.children["a"].reasons[-1] == "was not ready within 0.2 s"
+
+
+def test_a_node_that_does_not_speak_is_started_again_but_not_in_its_first_seconds(scene, monkeypatch):
+    monkeypatch.setattr("runtime.supervisor.SILENT_S", 0.3)
+    stage = scene({"a": SLEEPS})
+    stage.ready, stage.silent = {"a"}, {"a"}
+    stage.until(lambda: stage.state("a") is State.RUNNING)
+    began = time.monotonic()
+    stage.until(lambda: stage.children["a"].restarts == 1)
+    assert time.monotonic() - began > 0.25
+    assert stage.children["a"].reasons[-1] == "does not speak any more"
+
+
+def test_stopping_ends_the_polite_at_once_and_the_stubborn_within_two_seconds(scene):
+    stage = scene({"polite": POLITE, "stubborn": STUBBORN})
+    stage.until(lambda: stage.wrote("polite", "up\n") and stage.wrote("stubborn", "up\n"))
+    pids = [child.pid for child in stage.children.values()]
+    began = time.monotonic()
+    stage.supervisor.stop()
+    stage.until(lambda: stage.state("polite") is State.ENDED)
+    assert time.monotonic() - began < KILL_AFTER_S
+    stage.until(lambda: stage.supervisor.over)
+    assert time.monotonic() - began < KILL_AFTER_S + 1.0
+    assert not any(alive(pid) for pid in pids)
+    assert stage.said("polite")[-1] == "ended"
+    assert stage.said("stubborn")[-1] == "did not end within 1.8 s"
+
+
+def test_a_stopped_process_is_ended_like_any_other(scene):
+    stage = scene({"a": POLITE})
+    stage.until(lambda: stage.wrote("a", "up\n"))
+    os.kill(stage.children["a"].pid, signal.SIGSTOP)
+    stage.supervisor.stop()
+    stage.until(lambda: stage.supervisor.over)
+    assert stage.state("a") is State.ENDED
+
+
+def test_what_a_dead_process_left_behind_goes_with_it(scene):
+    stage = scene(
+        {
+            "a": (
+                "import subprocess, sys\n"
+                "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)'])\n"
+                "print(child.pid, flush=True)\n"
+                "sys.exit(1)"
+            )
+        },
+        a=NodeSpec(module="m", restart="never"),
+    )
+    stage.until(lambda: stage.state("a") is State.FAILED)
+    orphan = int((stage.logs / "a.log").read_text())
+    stage.until(lambda: not alive(orphan))
+
+
+def test_nothing_starts_while_everything_ends(scene):
+    stage = scene({"a": SLEEPS, "b": SLEEPS}, b=NodeSpec(module="m", after=("a",)))
+    stage.until(lambda: stage.state("a") is State.STARTING)
+    stage.supervisor.stop()
+    stage.ready = {"a"}
+    stage.until(lambda: stage.supervisor.over)
+    assert stage.said("b") == []
+
+
+def test_every_process_has_the_clock_of_the_run_and_one_thread_for_numbers(scene):
+    stage = scene({"a": f"import os; print(os.environ[{OFFSET_VARIABLE!r}], os.environ['OMP_NUM_THREADS'])"})
+    stage.until(lambda: stage.state("a") is State.ENDED)
+    assert (stage.logs / "a.log").read_text() == f"{stage.clock.offset_ns} 1\n"
+
+
+def test_logs_are_cut_before_they_fill_the_disk(scene, monkeypatch):
+    monkeypatch.setattr("runtime.child._LOG_BYTES", 100)
+    stage = scene({"a": SLEEPS})
+    stage.until(lambda: stage.state("a") is State.STARTING)
+    child = stage.children["a"]
+    for number in range(6):
+        with child.log_path.open("a") as log:
+            log.write(f"{number}" * 120 + "\n")
+        child.rotate_log()
+    assert child.log_path.read_text() == ""
+    kept = sorted(path.name for path in stage.logs.iterdir())
+    assert kept == ["a.log", "a.log.1", "a.log.2", "a.log.3"]
+    assert (stage.logs / "a.log.1").read_text().startswith("5")
+    assert (stage.logs / "a.log.3").read_text().startswith("3")
+
+
+def test_the_reason_is_the_last_line_without_its_time_and_name(tmp_path):
+    log = tmp_path / "a.log"
+    log.write_text("x\n2025-01-01T00:00:00.000 ERROR   laser: /dev/ttyACM0: no such device\n")
+    assert last_line(log) == "/dev/ttyACM0: no such device"
+    assert last_line(tmp_path / "none.log") == ""
