@@ -279,7 +279,7 @@ class Emulator:
         self.sweeps.append((stamp_ms, step_0_ns + self._host_step_ns))
         if self._spoils:
             damage, left, every = self._spoils.popleft()
-            if left % every == 0:
+            if (left - 1) % every == 0:
                 reply = damage(reply)
             if left > 1:
                 self._spoils.appendleft((damage, left - 1, every))
