@@ -41,6 +41,7 @@ def run(args: argparse.Namespace) -> int:
     from runtime.cli.screen import Screen
     from runtime.config import to_yaml
     from runtime.errors import ConfigError
+    from runtime.results import check_free
     from runtime.run import Run
 
     if args.duration is not None and not args.duration > 0:
@@ -56,8 +57,10 @@ def run(args: argparse.Namespace) -> int:
     if headless:
         graph = graph.without_screen()
     resolved = _check(file, headless)
-    out = _prepare(args.out)
+    out = args.out or Path("results") / time.strftime("%Y%m%d-%H%M%S")
+    check_free(out)
     with rundir.claimed(graph.robot) as run_dir, Screen(quiet=args.json) as screen:
+        _empty(out)
         if headless and not args.headless:
             screen.say("no screen here: running as with --headless")
         screen.say(f"{graph.robot}: {len(graph.nodes)} processes of {file.name}; results in {out}/")
@@ -104,21 +107,15 @@ def _check(file: Path, headless: bool) -> dict[str, Any]:
     raise HallwayError(f"{file}: the check failed: {lines[-1]}")
 
 
-def _prepare(out: Path | None) -> Path:
-    """Return an empty folder for the results; an older one of that name is kept beside it."""
+def _empty(out: Path) -> None:
+    """Make the folder of the results; an older one of that name is kept beside it."""
     import shutil
 
-    from runtime.results import check_free
-
-    if out is None:
-        out = Path("results") / time.strftime("%Y%m%d-%H%M%S")
-    check_free(out)
     if out.is_dir() and any(out.iterdir()):
         old = out.with_name(f"{out.name}.old")
         shutil.rmtree(old, ignore_errors=True)
         out.replace(old)
     out.mkdir(parents=True, exist_ok=True)
-    return out
 
 
 def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
@@ -179,6 +176,8 @@ def _save(
 
 
 def _say(report: dict[str, Any], as_json: bool) -> None:
+    if report["reason"]:
+        print(f"hallway up: {report['reason']}", file=sys.stderr)
     if as_json:
         from runtime.results import to_json
 
@@ -194,5 +193,3 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
             print(f"{name}: {process['restarts']} restarts, last: {process['reasons'][-1]}")
     written = sorted(p.name for p in Path(report["out"]).iterdir() if p.is_file())
     print(f"{report['out']}/: {', '.join(written)}")
-    if report["reason"]:
-        print(f"hallway up: {report['reason']}", file=sys.stderr)

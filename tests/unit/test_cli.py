@@ -1,0 +1,127 @@
+"""The command line: what exists is listed, what is broken breaks nobody else, errors are one line."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from runtime import cli
+from runtime.errors import ConfigError, DataLostError, HallwayError, exit_code_of
+
+
+@pytest.fixture
+def verb(tmp_path, monkeypatch):
+    """Write a verb module of our own into the package, for this test alone."""
+    monkeypatch.setattr(cli, "VERBS", (*cli.VERBS, "trial_verb"))
+    monkeypatch.setattr(cli, "__path__", [*cli.__path__, str(tmp_path)])
+
+    def write(body, top=""):
+        (tmp_path / "trial_verb.py").write_text(
+            f'"""Try something."""\n{top}\n'
+            'def add_arguments(parser):\n    parser.add_argument("--n", type=int)\n'
+            f"def run(args):\n    {body}\n"
+        )
+
+    yield write
+    sys.modules.pop("runtime.cli.trial_verb", None)
+
+
+def test_help_lists_the_verbs_that_are_there(capsys, verb):
+    verb("return 0")
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["--help"])
+    assert ended.value.code == 0
+    out = capsys.readouterr().out
+    assert "trial_verb" in out
+    assert "Try something." in out
+    assert "exit codes: 0 good" in out
+
+
+def test_a_verb_that_cannot_be_imported_breaks_no_other(capsys, verb):
+    verb("return 0", top="import a_library_that_is_not_there")
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["up", "--help"])
+    assert ended.value.code == 0
+
+
+def test_a_verb_gets_its_arguments_and_gives_the_exit_code(verb):
+    verb("return args.n")
+    assert cli.main(["trial_verb", "--n", "4"]) == 4
+
+
+@pytest.mark.parametrize(
+    ("body", "code", "text"),
+    [
+        (
+            "from runtime.errors import ConfigError; raise ConfigError('a.b = 3, must be 4')",
+            2,
+            "a.b = 3, must be 4",
+        ),
+        ("from runtime.errors import DataLostError; raise DataLostError('3 scans')", 4, "3 scans"),
+        ("from drivers.errors import DeviceError; raise DeviceError('no laser')", 3, "no laser"),
+        ("open('/no/such/file')", 2, "/no/such/file: No such file or directory"),
+        ("raise OSError(5, 'Input/output error', '/dev/ttyACM0')", 1, "ttyACM0: Input/output error"),
+    ],
+)
+def test_an_expected_error_is_one_line_and_its_exit_code(verb, capsys, body, code, text):
+    verb(body)
+    assert cli.main(["trial_verb"]) == code
+    err = capsys.readouterr().err
+    assert err.startswith("hallway trial_verb: ")
+    assert text in err
+    assert err.count("\n") == 1
+
+
+def test_a_bug_keeps_its_traceback(verb):
+    verb("raise KeyError('a bug')")
+    with pytest.raises(KeyError, match="a bug"):
+        cli.main(["trial_verb"])
+
+
+def test_ctrl_c_is_130(verb):
+    verb("raise KeyboardInterrupt")
+    assert cli.main(["trial_verb"]) == 130
+
+
+def test_no_verb_and_an_unknown_verb_are_usage_errors(capsys):
+    for arguments in ([], ["upp"]):
+        with pytest.raises(SystemExit) as ended:
+            cli.main(arguments)
+        assert ended.value.code == 2
+
+
+def test_help_needs_nothing_heavy():
+    program = (
+        "import sys\nfrom runtime.cli import main\n"
+        "try: main(['--help'])\nexcept SystemExit: pass\n"
+        "heavy = {'numpy', 'numba', 'zenoh', 'rerun', 'rosbags', 'yaml', 'rich'} & set(sys.modules)\n"
+        "sys.exit(f'imported: {heavy}' if heavy else 0)"
+    )
+    root = Path(__file__).resolve().parents[2]
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=root, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("name", cli.VERBS)
+def test_the_help_of_every_verb_needs_nothing_heavy(name):
+    root = Path(__file__).resolve().parents[2]
+    if not (root / "runtime" / "cli" / f"{name}.py").exists():
+        pytest.skip(f"needs runtime/cli/{name}.py")
+    program = (
+        "import sys\nfrom runtime.cli import main\n"
+        f"try: main([{name!r}, '--help'])\nexcept SystemExit: pass\n"
+        "heavy = {'numpy', 'numba', 'zenoh', 'rerun', 'rosbags', 'yaml', 'serial'} & set(sys.modules)\n"
+        "sys.exit(f'imported: {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=root, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_errors_know_their_exit_codes():
+    assert [exit_code_of(e) for e in (HallwayError("x"), ConfigError("x"), DataLostError("x"))] == [1, 2, 4]
+    assert exit_code_of(ValueError("x")) is None

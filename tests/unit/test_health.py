@@ -1,0 +1,131 @@
+"""What processes say of themselves becomes one picture, and no foreign word can grow or break it."""
+
+import pytest
+
+from runtime import messages
+from runtime.bus_memory import MemoryBus
+from runtime.health import Health
+from runtime.messages import Attachment
+from runtime.node import BusPort
+from runtime.status import status_of
+from runtime.topics import topic
+
+KEY = messages.topic_key("robot/diagnostics", topic("diagnostics").type)
+
+
+@pytest.fixture
+def bus():
+    with MemoryBus() as first:
+        yield first
+
+
+@pytest.fixture
+def health(bus):
+    return Health(bus, "robot")
+
+
+def say(bus, name, level=0, text="", **values):
+    pairs = [messages.KeyValue(key=key, value=str(value)) for key, value in values.items()]
+    status = messages.DiagnosticStatus(level=level, name=name, message=text, hardware_id="", values=pairs)
+    array = messages.DiagnosticArray(header=messages.header(5, ""), status=[status])
+    bus.publisher(KEY).put(messages.encode(array), Attachment(1, 0, name.encode().ljust(16)[:16]).encode())
+
+
+def test_the_last_word_of_each_process_is_kept(bus, health):
+    say(bus, "robot/laser", 0, "good", rate=10)
+    say(bus, "robot/laser", 1, "dusty", rate=9.5)
+    vital = health.vitals()["laser"]
+    assert (vital.level, vital.text, vital.number("rate"), vital.stamp_ns) == ("warn", "dusty", 9.5, 5)
+    assert vital.number("nothing", -1.0) == -1.0
+    assert vital.age_s < 5
+
+
+def test_other_robots_and_garbage_are_let_pass(bus, health):
+    say(bus, "other/laser", 0, "good")
+    bus.publisher(KEY).put(b"garbage", b"")
+    say(bus, "robot/laser", 77, "a level that is none")
+    assert list(health.vitals()) == ["laser"]
+    assert health.vitals()["laser"].level == "stale"
+    assert health.undecodable == 1
+
+
+def test_a_flood_of_names_does_not_grow_it(bus, health):
+    for number in range(400):
+        say(bus, f"robot/n{number}")
+    assert len(health.vitals()) == 256
+
+
+def test_silence_is_told_after_its_time_and_never_of_those_who_never_spoke(bus, health):
+    say(bus, "robot/laser")
+    assert health.silent(5.0) == set()
+    assert health.silent(-1.0) == {"laser"}
+
+
+def test_a_token_that_outlives_its_process_does_not_make_the_next_one_ready(bus, health):
+    old, new = bus.join(), bus.join()
+    old.token(messages.node_token(old.zid, "robot", "laser"))
+    assert health.ready() == {"laser"}
+    health.forget("laser")
+    assert health.ready() == set()
+    new.token(messages.node_token(new.zid, "robot", "laser"))
+    old.close()
+    assert health.ready() == {"laser"}
+
+
+def test_the_status_is_what_the_processes_said(bus, health):
+    say(bus, "robot/matcher", 0, "fine", state="TRACKING", pid=7)
+    say(
+        bus,
+        "robot/monitor",
+        0,
+        "used 9 of 10 scans",
+        **{
+            "scan.rate_hz": 10,
+            "latency.whole.p50_ms": 120,
+            "latency.whole.p99_ms": 140,
+            "latency.whole.max_ms": 150,
+        },
+        scans=10,
+        mapped=9,
+        map_size="10.0 m x 5.0 m",
+    )
+    say(
+        bus, "robot/laser", 1, "dusty", **{"scan.overwritten": 2, "odom.missed": 3, "scan.deadline_misses": 4}
+    )
+    say(
+        bus,
+        "robot/supervisor",
+        0,
+        "",
+        **{
+            "child.laser.state": "running",
+            "child.laser.restarts": 2,
+            "child.mapper.state": "backoff",
+            "child.mapper.reason": "killed",
+        },
+    )
+    status = status_of("robot", health.vitals())
+    assert status.tracking == "TRACKING"
+    assert (status.scans, status.mapped, status.map_size) == (10, 9, "10.0 m x 5.0 m")
+    assert status.hops_ms == {"whole": {"p50": 120.0, "p99": 140.0, "max": 150.0}}
+    lines = {line.name: line for line in status.processes}
+    assert list(lines)[:2] == ["laser", "mapper"]
+    assert (lines["laser"].restarts, lines["laser"].lost, lines["laser"].deadline_misses) == (2, 5, 4)
+    assert (lines["mapper"].level, lines["mapper"].text) == ("error", "killed")
+    assert "TRACKING" in status.line()
+    assert "laser: dusty" in status.line()
+    assert "ray to pose 120/140 ms" in status.line()
+
+
+def test_an_empty_picture_is_one_too():
+    status = status_of("robot", {})
+    assert (status.tracking, status.processes, status.line()) == ("", (), "starting")
+
+
+def test_a_real_port_is_heard(bus, health):
+    with BusPort("mapper", bus.join) as port:
+        port.report("warn", "full")
+        port.ready()
+        line = status_of("robot", health.vitals()).processes[0]
+        assert (line.name, line.level, line.text, line.state) == ("mapper", "warn", "full", "running")
+        assert line.rss_mb > 1
