@@ -129,9 +129,10 @@ class Urg:
                 than before, or no port within the patience.
             ValueError: The sensor cannot do what is configured.
         """
-        began_ns, path = self._now_ns(), ""
+        began_ns = self._now_ns()
         try:
             while True:
+                path = ""
                 try:
                     path = self._pick()
                     yield from self._connect(path)

@@ -16,7 +16,6 @@ _USB_BYTES_PER_S = 370_000
 _RETRY_NS = 2_000_000
 # What the far end of a pseudo-terminal shows of the rates that termios has no constant for.
 _OTHER_BAUD = 4096
-_BAUDS = {19_200: termios.B19200, 57_600: termios.B57600, 115_200: termios.B115200, 500_000: termios.B500000}
 
 
 class Wire:
@@ -116,7 +115,7 @@ class Wire:
     def _rates_agree(self, baud: int) -> bool:
         if not self._rs232:
             return True
-        return bool(termios.tcgetattr(self.master)[4] == _BAUDS.get(baud, _OTHER_BAUD))
+        return bool(termios.tcgetattr(self.master)[4] == getattr(termios, f"B{baud}", _OTHER_BAUD))
 
     def _garbage(self, count: int) -> bytes:
         return self._rng.integers(0x80, 0x100, count, dtype=np.uint8).tobytes()
