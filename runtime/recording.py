@@ -197,7 +197,7 @@ def salvage(path: Path, target: Path | None = None) -> tuple[Path, int, list[str
         target: The new file; by default the name without `.active`, or `X.recovered.mcap`.
 
     Returns:
-        The new file, how many messages it holds, and what was wrong with the old one.
+        The new file, how many messages it holds, and what of the old one could not be read.
 
     Raises:
         FormatError: It is no MCAP file.
@@ -226,4 +226,4 @@ def salvage(path: Path, target: Path | None = None) -> tuple[Path, int, list[str
     if found != count or again.state.troubles():
         raise AssertionError(f"{partial}: {found} of {count} messages read back after recovery")
     partial.rename(target)
-    return target, count, state.troubles()
+    return target, count, state.losses()

@@ -67,8 +67,8 @@ def read_bag(path: Path, topic: str | None = None) -> LaserLog:
         elif _shape(scan) != _shape(first):
             rule = f"{chosen} scan {index + 1}: beams, angles {_shape(scan)}, must stay {_shape(first)}"
             raise FormatError(path, rule)
-        # Many drivers say 0 for "no information", and this program says NaN.
-        wrong = np.flatnonzero(scan.ranges < 0) if source.clean else np.flatnonzero(~(scan.ranges >= 0))
+        # NaN and -inf have a meaning, and many drivers say 0 for "no information".
+        wrong = np.flatnonzero((scan.ranges < 0) & np.isfinite(scan.ranges))
         if len(wrong) and not odd:
             first_odd = f"scan {index + 1}, beam {wrong[0]}: {scan.ranges[wrong[0]]:g}"
         odd += len(wrong)
@@ -177,14 +177,14 @@ class _McapFile:
         for message in reader.messages():
             self._topics[message.channel.topic] = message.channel.msgtype
             self._gaps.see(message)
-        self._troubles = reader.state.troubles()
+        self._losses = reader.state.losses()
         self.clean = reader.state.library == LIBRARY
 
     def topics(self) -> dict[str, str]:
         return self._topics
 
     def losses(self, topic: str) -> tuple[str, ...]:
-        told = list(self._troubles)
+        told = list(self._losses)
         if missing := self._gaps.missing.get(topic, 0):
             told.append(f"{missing} scans of {topic} were never recorded, by its sequence numbers")
         return tuple(f"{self._path}: {one}" for one in told)

@@ -154,11 +154,15 @@ class ReadState:
 
     def troubles(self) -> list[str]:
         """Say what is wrong with the file; nothing for a whole one."""
+        if self.complete and not self.indexed:
+            return ["the index at the end of the file was cut; every message is there", *self.losses()]
+        return self.losses()
+
+    def losses(self) -> list[str]:
+        """Say why messages that were in the file cannot be read."""
         told = []
         if not self.complete:
             told.append(f"the file was cut{f' ({self.ended})' if self.ended else ''}")
-        elif not self.indexed:
-            told.append("the index at the end of the file was cut; every message is there")
         if self.damaged_chunks:
             told.append(f"{self.damaged_chunks} damaged chunks were left out")
         if self.nameless:

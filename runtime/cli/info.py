@@ -1,0 +1,100 @@
+"""Say what is in a recording, a laser log or a results folder, and what is missing from it."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from runtime.errors import DataLostError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments; heavy imports wait until `run`."""
+    parser.add_argument("file", type=Path, help="recording (also cut), log, bag, or results folder")
+    parser.add_argument("--topic", metavar="T", help="which laser of a bag")
+    parser.add_argument("--json", action="store_true", help="machine-readable, one object")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what is there; 0 when it is whole, 4 when something is missing."""
+    from runtime.results import RUN_FILE
+
+    path: Path = args.file
+    if path.is_dir() and (path / RUN_FILE).is_file():
+        report = _results(path)
+    elif _is_recording(path):
+        from runtime.recording_info import describe
+
+        report = describe(path)
+    else:
+        report = _log(path, args.topic)
+    if args.json:
+        print(json.dumps(report))
+    else:
+        _print(report)
+    return int(DataLostError.exit_code) if report.get("missing") else 0
+
+
+def _is_recording(path: Path) -> bool:
+    from runtime.formats.mcap_log import MAGIC
+
+    if path.is_dir():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
+
+
+def _results(path: Path) -> dict[str, Any]:
+    report: dict[str, Any] = {"file": str(path), "kind": "results"}
+    for name in ("run.json", "metrics.json"):
+        if (path / name).is_file():
+            report |= json.loads((path / name).read_text(encoding="utf-8"))
+    report["files"] = sorted(one.name for one in path.iterdir())
+    return report
+
+
+def _log(path: Path, topic: str | None) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from runtime.formats.logs import open_log
+
+    log = open_log(path, topic)
+    stamps_s = log.stamps_ns / 1e9
+    return {
+        "file": str(path),
+        "kind": log.kind,
+        "topic": log.topic,
+        "scans": len(log),
+        "duration_s": float(stamps_s.max() - stamps_s.min()),
+        **asdict(log.geometry),
+        "notices": list(log.notices),
+        "missing": list(log.losses),
+    }
+
+
+def _print(report: dict[str, Any]) -> None:
+    topics = report.get("topics")
+    for key, value in report.items():
+        if key in ("topics", "missing", "notices", "gaps") or value is None:
+            continue
+        print(f"{key:<20} {_text(value)}")
+    if topics:
+        print(f"{'topic':<28}{'messages':>9}{'Hz':>8}{'missing':>9}  type")
+        for name, row in topics.items():
+            rate = "" if row["rate_hz"] is None else f"{row['rate_hz']:.2f}"
+            print(f"{name:<28}{row['messages']:>9}{rate:>8}{row['missing']:>9}  {row['type']}")
+    for gap in report.get("gaps", []):
+        print(f"gap                  {gap['topic']}: {gap['count']} messages before {gap['at_s']:.3f} s")
+    for key in ("notices", "missing"):
+        for one in report.get(key, []):
+            print(f"{key.rstrip('s'):<20} {one}")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, dict):
+        return ", ".join(f"{key}={_text(one)}" for key, one in value.items())
+    if isinstance(value, list):
+        return ", ".join(map(_text, value))
+    return str(value)

@@ -1,0 +1,86 @@
+"""`hallway info`: what is there, and what is missing."""
+
+import json
+
+import pytest
+
+from runtime.cli import main
+from runtime.formats.mcap_log import McapChannel
+from runtime.recording import Recording, RecordingConfig
+
+S = 10**9
+SCAN = McapChannel("/robot/scan", "sensor_msgs/msg/LaserScan", {"gid": "aa"})
+
+
+def recorded(path, numbers, lost=None):
+    rec = Recording(path, "robot", RecordingConfig(min_free_mb=0), 0, {"seed": "7"}, {"config.yaml": b""})
+    for n in numbers:
+        rec.add(SCAN, n, n * S // 10, n * S // 10, b"\x00\x01\x00\x00" + bytes(100))
+    rec.tick(2 * S, lost or {})
+    return rec
+
+
+def info(capsys, path, *arguments):
+    code = main(["info", str(path), "--json", *arguments])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_a_whole_recording_lacks_nothing(tmp_path, capsys):
+    recorded(tmp_path / "a.mcap", range(1, 21)).close(3 * S)
+    code, report = info(capsys, tmp_path / "a.mcap")
+    assert code == 0
+    assert report["missing"] == report["gaps"] == []
+    row = report["topics"]["/robot/scan"]
+    assert (row["messages"], row["missing"], row["publishers"]) == (20, 0, 1)
+    assert row["rate_hz"] == pytest.approx(10.0)
+    assert report["hallway"]["seed"] == "7"
+    assert report["hallway.end"]["written"] == "20"
+    assert report["attachments"] == ["config.yaml"]
+
+
+def test_a_killed_recording_says_so_and_what_it_lost(tmp_path, capsys):
+    rec = recorded(tmp_path / "a.mcap", [1, 2, 5, 6], {"odom": 3})
+    code, report = info(capsys, tmp_path / "a.mcap.active")
+    rec.close(3 * S)
+    assert code == 4
+    assert report["missing"] == [
+        "the file was cut (its last record ends too early)",
+        "2 messages of /robot/scan, by its sequence numbers",
+        "3 messages of odom that the recorder did not get",
+    ]
+    assert report["gaps"] == [{"topic": "/robot/scan", "at_s": 0.4, "first": 3, "count": 2}]
+
+
+def test_people_get_a_table(tmp_path, capsys):
+    recorded(tmp_path / "a.mcap", [1, 2, 5]).close(3 * S)
+    assert main(["info", str(tmp_path / "a.mcap")]) == 4
+    out = capsys.readouterr().out
+    assert "/robot/scan                         3    5.00        2  sensor_msgs/msg/LaserScan" in out
+    assert "gap                  /robot/scan: 2 messages before 0.400 s" in out
+    assert "missing              2 messages of /robot/scan, by its sequence numbers" in out
+
+
+def test_a_laser_log_is_described_by_its_geometry_and_rate(tmp_path, capsys):
+    lines = [f"FLASER 180 {'1.0 ' * 180}0 0 0 0 0 0 {n * 0.2:.1f} h 0\n" for n in range(1, 11)]
+    (tmp_path / "a.clf").write_text("".join(lines))
+    code, report = info(capsys, tmp_path / "a.clf")
+    assert code == 0
+    assert (report["kind"], report["scans"], report["count"]) == ("CARMEN FLASER", 10, 180)
+    assert report["period_s"] == pytest.approx(0.2)
+    assert report["duration_s"] == pytest.approx(1.8)
+
+
+def test_a_results_folder_tells_what_made_it(tmp_path, capsys):
+    (tmp_path / "run.json").write_text('{"seed": 3}')
+    (tmp_path / "metrics.json").write_text('{"scans": 9}')
+    code, report = info(capsys, tmp_path)
+    assert (code, report["seed"], report["scans"]) == (0, 3, 9)
+
+
+@pytest.mark.parametrize(("content", "said"), [(b"", "empty"), (b"hello\n", "not a laser log")])
+def test_anything_else_is_one_line(tmp_path, capsys, content, said):
+    (tmp_path / "a").write_bytes(content)
+    assert main(["info", str(tmp_path / "a")]) == 2
+    captured = capsys.readouterr()
+    assert said in captured.err
+    assert captured.err.count("\n") == 1
