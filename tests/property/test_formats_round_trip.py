@@ -179,8 +179,7 @@ def check_log_or_one_line(path):
 def test_a_damaged_text_log_is_a_log_or_one_line(tmp_path_factory, data):
     rng = np.random.default_rng(1)
     readings = [" ".join(map(str, rng.uniform(1, 5, 4).round(2))) for _ in range(5)]
-    lines = [f"FLASER 4 {text} 0 0 0 0 0 0 {i}.5 h 0.1
-" for i, text in enumerate(readings)]
+    lines = [f"FLASER 4 {text} 0 0 0 0 0 0 {i}.5 h 0.1\n" for i, text in enumerate(readings)]
     text = bytearray("".join(lines).encode())
     for _ in range(data.draw(st.integers(1, 5))):
         text[data.draw(st.integers(0, len(text) - 1))] = data.draw(st.integers(0, 255))
