@@ -153,8 +153,8 @@ class _RosBag:
         from runtime.messages import TYPES
 
         # Bags of old ROS 2 releases carry no definitions of their own; LaserScan has not changed since.
-        reader = AnyReader([self._path], default_typestore=TYPES)
         try:
+            reader = AnyReader([self._path], default_typestore=TYPES)
             reader.open()
         except AnyReaderError as error:
             raise FormatError(self._path, f"the bag cannot be opened: {_one_line(error)}") from error

@@ -123,7 +123,7 @@ def test_a_ros_1_bag_holds_the_scans_only_and_says_so(recording, tmp_path, capsy
 def test_a_cut_recording_becomes_a_whole_one_and_costs_exit_code_4(recording, tmp_path, capsys):
     data = recording.read_bytes()
     cut = tmp_path / "run2.mcap.active"
-    cut.write_bytes(data[: len(data) // 2])
+    cut.write_bytes(data[:600])
     assert main(["convert", str(cut), str(tmp_path / "whole.mcap")]) == 4
     assert "run2.mcap.active: the file was cut" in capsys.readouterr().err
     reader = McapReader(tmp_path / "whole.mcap")
