@@ -32,7 +32,7 @@ from drivers.urg04lx.geometry import Sweep, to_ranges
 from drivers.urg04lx.link import POLL_S, Link, Stream, Waiting
 from drivers.urg04lx.protocol import LF, StreamRequest
 from drivers.urg04lx.settings import UrgConfig
-from drivers.urg04lx.watch import Remedy, Watch
+from drivers.urg04lx.watch import REOPEN_S, RESET_S, Remedy, Watch
 
 USB_VENDOR, USB_PRODUCT = "15d1", "0000"
 _BACK_OFF_S = (0.5, 1.0, 2.0, 5.0)
@@ -224,18 +224,18 @@ class Urg:
             now_ns = self._now_ns()
             if watch.damaged(self.decoder.damaged.total() - damaged, now_ns):
                 yield Notice("warn", f"{connected.path}: many damaged scans; starting again; check the cable")
-                yield from self._restart(link, connected.request)
+                yield from self._restart(link, connected.request, watch, RESET_S)
             if remedy := watch.due(now_ns):
-                yield from self._cure(remedy, link, connected, watch.quiet_s(now_ns))
+                yield from self._cure(remedy, link, connected, watch)
             yield None
 
-    def _cure(self, remedy: Remedy, link: Link, connected: Connected, quiet_s: float) -> Waiting:
-        ill = f"{connected.path}: no scan for {quiet_s:.1f} s"
+    def _cure(self, remedy: Remedy, link: Link, connected: Connected, watch: Watch) -> Waiting:
+        ill = f"{connected.path}: no scan for {watch.quiet_s(self._now_ns()):.1f} s"
         if remedy is Remedy.REPORT:
             yield Notice("warn", ill)
         elif remedy is Remedy.RESTART:
             yield Notice("warn", f"{ill}; starting the stream again")
-            yield from self._restart(link, connected.request)
+            yield from self._restart(link, connected.request, watch, RESET_S)
         elif remedy is Remedy.RESET:
             self.counts["resets"] += 1
             yield Notice("error", f"{ill}; resetting the sensor")
@@ -243,19 +243,24 @@ class Urg:
             if connected.baud:
                 raise SilentError(f"{ill}; its rate is back at the default, opening the port again")
             self._forget_time()
-            yield from self._restart(link, connected.request)
+            yield from self._restart(link, connected.request, watch, REOPEN_S)
         else:
             raise SilentError(f"{ill}; opening the port again")
 
-    def _restart(self, link: Link, request: StreamRequest) -> Waiting:
-        """Stop the stream and start it again; without an answer the watch goes on to the next remedy."""
+    def _restart(self, link: Link, request: StreamRequest, watch: Watch, until_s: float) -> Waiting:
+        """Stop the stream and start it again; try until the next remedy is due."""
         self.counts["restarts"] += 1
-        try:
+        while True:
             # A sensor that lost power meanwhile is in SCIP 1.1 again: wake knows.
             if (yield from connect.wake(link)):
-                yield from connect.start(link, request)
-        except SilentError:
-            return
+                try:
+                    yield from connect.start(link, request)
+                    watch.restarted(self._now_ns())
+                    return
+                except SilentError:
+                    pass  # it fell silent between two answers
+            if watch.quiet_s(self._now_ns()) >= until_s:
+                return
 
     def _status(self, link: Link, reply: Reply, request: StreamRequest, watch: Watch) -> Waiting:
         """Act on a status that came instead of a scan."""

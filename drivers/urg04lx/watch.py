@@ -11,6 +11,8 @@ RESTART_S = 1.0
 RESET_S = 3.0
 REOPEN_S = 5.0
 _FIRST_SCAN_S = 2.0
+_PROOF_S = 0.6
+"""A remedy that seems to have worked has this long to be proved by a scan."""
 _VERIFY_S = 5.0
 _BAD_IN_A_ROW = 10
 _BAD_SHARE = 0.2
@@ -46,7 +48,7 @@ class Watch:
 
     def __init__(self, now_ns: int, period_s: float) -> None:
         self._allowance_ns = round(max(0.0, period_s - 0.1) * 1e9)
-        self._well_ns = 0
+        self._well_ns = self._proof_ns = 0
         self._tried: Remedy | None = Remedy.REPORT
         self._recent: deque[tuple[int, bool]] = deque()
         self._bad_in_a_row = 0
@@ -55,6 +57,10 @@ class Watch:
     def wait(self, now_ns: int, grace_s: float = _VERIFY_S) -> None:
         """Do not restart before `grace_s` from now: the sensor said that it needs time."""
         self._well_ns = now_ns + round((grace_s - RESTART_S) * 1e9)
+
+    def restarted(self, now_ns: int) -> None:
+        """Give the stream time for a scan before the next remedy: it has been acknowledged again."""
+        self._proof_ns = now_ns + round(_PROOF_S * 1e9) + self._allowance_ns
 
     def good(self, at_ns: int) -> bool:
         """Take note of a good scan; True if it ends an illness."""
@@ -83,6 +89,8 @@ class Watch:
 
     def due(self, now_ns: int) -> Remedy | None:
         """Return what to do now, each remedy once."""
+        if now_ns < self._proof_ns:
+            return None
         quiet_s = self.quiet_s(now_ns)
         for remedy, after_s in _LADDER:
             if quiet_s >= after_s:

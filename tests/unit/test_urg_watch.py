@@ -54,6 +54,14 @@ def test_a_sensor_that_asks_for_time_is_given_it():
     assert Remedy.RESTART in remedies(watch, 14, 16)
 
 
+def test_a_stream_that_is_acknowledged_again_has_time_to_prove_it():
+    watch = Watch(0, 0.1)
+    watch.good(0)
+    assert Remedy.RESTART in remedies(watch, 0, 2.9)
+    watch.restarted(round(2.9 * S))
+    assert remedies(watch, 2.9, 4) == {Remedy.RESET: pytest.approx(3.5, abs=0.051)}
+
+
 def test_ten_damaged_scans_in_a_row_are_too_many_and_nine_are_not():
     watch = Watch(0, 0.1)
     watch.good(0)
