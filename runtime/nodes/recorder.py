@@ -4,6 +4,7 @@ import dataclasses
 import os
 import platform
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -47,6 +48,12 @@ class Config:
 
 def run(port: Port, config: Config) -> int:
     """Record until asked to stop, or for the configured time; 4 if anything was lost."""
+    recording = record(port, config, lambda recording: None)
+    return DataLostError.exit_code if recording.counts.total_lost else 0
+
+
+def record(port: Port, config: Config, turn: Callable[[Recording], None]) -> Recording:
+    """Record until asked to stop, or for the configured time; `turn` is called at each turn of the loop."""
     subscriptions = _subscribe(port, config.topics or SUBSCRIBES)
     path = Path(config.file) if config.file else (port.results_dir or port.run_dir) / "recording.mcap"
     began_ns = port.clock.now_ns()
@@ -57,13 +64,14 @@ def run(port: Port, config: Config) -> int:
         _drain(port, subscriptions, recording, channels)
         now_ns = port.clock.now_ns()
         _tell(port, recording)
+        turn(recording)
         if config.duration_s and now_ns - began_ns >= config.duration_s * 1e9:
             break
         time.sleep(TURN_S)
     _drain(port, subscriptions, recording, channels)
     recording.close(port.clock.now_ns())
     _tell(port, recording)
-    return DataLostError.exit_code if recording.counts.total_lost else 0
+    return recording
 
 
 def _subscribe(port: Port, topics: tuple[str, ...]) -> dict[str, Subscription]:
