@@ -1,0 +1,318 @@
+"""Loops: knowing that the laser has come back, and bending the whole path so that it has.
+
+The paths of a particle filter do not reach round a large loop: after a few hundred key scans all particles
+share one past. So the past itself is moved, as in resample-move particle filters (Gilks and Berzuini 2001):
+while the laser is on new ground, the drift since it last was on old ground bounds a window; the last metres
+of points are searched in that window of the settled map, wholly (`wide_match`); where they fit once and only
+once, the path is smoothed under all its relations (`smoothing`), and the maps are drawn anew along it.
+
+Relations are of two kinds: the motions of the scan matcher between key scans, never doubted; and places where
+a key scan lay on the settled map, which may be wrong and are doubted when they disagree.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.dpslam.settled import SettledMap
+from processing.ndt import Points
+from processing.se2 import Pose, between, compose, transform, wrap
+from processing.smoothing import Relations, smooth
+from processing.wide_match import build_field, search
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopConfig:
+    """When a place counts as known, and how far the path may have drifted."""
+
+    reach_m: float = 15.0
+    """Way after which a key scan settles, and how far around it matters: about what the laser sees."""
+    drift: float = 0.01
+    """Least drift of any scan matcher, a share of the way."""
+    drift_rad_per_m: float = 0.004
+    query_m: float = 4.0
+    """Least length of way whose points are searched for together."""
+    most_query_m: float = 12.0
+    """Most of it: the farther the path may have drifted, the more must be recognised."""
+    try_every_m: float = 1.0
+    least_score: float = 0.6
+    """Share of the searched points that must find their wall."""
+    rival_ratio: float = 0.95
+    """A second place that fits so nearly as well makes the first one nobody's."""
+    far_rival_ratio: float = 0.85
+    """The same where the path may have drifted by more than half a metre: corridors repeat themselves."""
+    most_window_m: float = 10.0
+    most_window_rad: float = 0.8
+
+    def __post_init__(self) -> None:
+        for name in (
+            "reach_m",
+            "drift",
+            "query_m",
+            "most_query_m",
+            "try_every_m",
+            "most_window_m",
+            "most_window_rad",
+        ):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} = {getattr(self, name)}, must be positive")
+        for name in ("least_score", "rival_ratio", "far_rival_ratio"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} = {getattr(self, name)}, must be in (0, 1]")
+
+
+FIELD_CELL_M, FIELD_SIGMA_M = 0.05, 0.08
+KNOWN_SHARE = 0.4
+"""Share of a scan that lies where the settled map knows something, for the scan to be tried on it."""
+FITTING = 0.3
+"""Score from which a point counts as lying on its wall."""
+MOST_CORRECTION = np.array((0.2, 0.2, 0.1))
+"""A scan that would have to move farther to lie on the settled map does not lie on it."""
+PATIENCE = 8
+"""Key scans in a row that do not lie on the settled map before the ground counts as new."""
+POINT_GAIN = 0.3
+"""Information of a point that fits: neighbouring points err alike."""
+DOUBT = 12.0
+"""Chi-square at which a place is doubted: 3 degrees of freedom pass it once in a hundred."""
+GATE = 20.0
+"""Chi-square of a closure against the drift beyond which it is another place that looks alike."""
+FAR_M = 0.5
+"""Drift (one sigma) from which neighbouring doors may be mistaken for each other."""
+QUERY_POINTS = 400
+PAST = 20
+"""Settled key scans without which there is nothing to come back to."""
+
+
+class Loops:
+    """The path of one lineage, its relations, and the map of what lies behind."""
+
+    def __init__(self, config: LoopConfig) -> None:
+        self.config = config
+        self.path: Pose = np.zeros((0, 3))
+        self.points: list[Points] = []
+        self.motions: list[Pose] = []
+        self.covariances: list[Matrix] = []
+        self.places: list[tuple[int, int, Pose, Matrix, float]] = []
+        self.way_m: list[float] = []
+        self.linked = True
+        """Whether the newest key scans lie on the settled map, or there is none yet."""
+        self.closures = 0
+        self._map = SettledMap()
+        self._settled = 0
+        self._misses = 0
+        self._drift = np.zeros((3, 3))
+        self._tried_m = 0.0
+        self._pending: tuple[float, Pose] | None = None
+
+    def step(self, motion: Pose, covariance: Matrix, points: Points, path: Pose) -> Pose | None:
+        """Take the next key scan.
+
+        Args:
+            motion: (3,) from the key scan before; of the first, anything.
+            covariance: (3, 3) of that motion, in the new laser frame.
+            points: (N, 2) m, laser frame.
+            path: (K, 3) map_t_laser of every key scan, this one included, of the lineage to follow.
+
+        Returns:
+            The whole path (K, 3), moved, if the laser was found to have come back; else None.
+        """
+        self._follow(path)
+        first = not self.points
+        self.points.append(np.ascontiguousarray(points, dtype=np.float64))
+        self.motions.append(np.array(motion, dtype=np.float64))
+        step_m = 0.0 if first else float(np.hypot(motion[0], motion[1]))
+        self.way_m.append(step_m + (0.0 if first else self.way_m[-1]))
+        self.covariances.append(self._with_drift(covariance, motion, step_m))
+        if first:
+            return None
+        self._drift = _carried(self._drift, motion) + self.covariances[-1]
+        self._settle()
+        if self.linked:
+            self._place()
+        elif self._settled >= PAST and self._due():
+            return self._close()
+        return None
+
+    def smoothed(self) -> Pose:
+        """Return the path (K, 3) that satisfies all relations best."""
+        return smooth(self.path, self._relations()).poses if len(self.path) > 1 else self.path.copy()
+
+    def _with_drift(self, covariance: Matrix, motion: Pose, step_m: float) -> Matrix:
+        c = self.config
+        aside = (c.drift * step_m + 0.003) ** 2
+        turn = (c.drift_rad_per_m * (step_m + abs(float(motion[2]))) + 0.001) ** 2
+        # Nothing is known worse than this: the next scans will tell, and the search has its own bounds.
+        return np.asarray(np.minimum(covariance, 4.0) + np.diag((aside, aside, turn)))
+
+    def _follow(self, path: Pose) -> None:
+        """Take over the path; where its settled part has moved, build the map anew."""
+        known = min(self._settled, len(self.path))
+        moved = np.abs(between(self.path[:known], path[:known]))
+        self.path = np.array(path)
+        if known and (moved[:, :2].max() > 0.01 or moved[:, 2].max() > 0.003):
+            self._rebuild()
+
+    def _rebuild(self) -> None:
+        self._map.clear()
+        for k in range(self._settled):
+            self._map.add(transform(self.path[k], self.points[k]))
+
+    def _settle(self) -> None:
+        while self.way_m[self._settled] < self.way_m[-1] - self.config.reach_m:
+            self._map.add(transform(self.path[self._settled], self.points[self._settled]))
+            self._settled += 1
+
+    def _place(self) -> None:
+        """Note where the newest key scan lies on the settled map; give up the link after misses in a row."""
+        at, points = self.path[-1], self.points[-1]
+        self._misses += 1
+        if len(points) and (self._map.fits(points, at) >= 0.0).mean() > KNOWN_SHARE:
+            prior = self.covariances[-1] + np.diag((0.03**2, 0.03**2, 0.01**2))
+            fit = self._map.refine(points, at, np.asarray(np.linalg.inv(_in_map(prior, at[2]))))
+            fits = self._map.fits(points, fit.map_t_points)
+            good = (fits > FITTING).sum() > 0.5 * max(int((fits >= 0.0).sum()), 1)
+            if good and (np.abs(between(at, fit.map_t_points)) < MOST_CORRECTION).all():
+                self._relate(fit.map_t_points, fit.information, DOUBT)
+                self._misses = 0
+        if self._misses > PATIENCE:
+            self.linked, self._pending = False, None
+
+    def _relate(self, map_t_laser: Pose, information: Matrix, doubt: float) -> bool:
+        """Add the relation of the newest key scan to the settled key scan nearest to it."""
+        settled = self.path[: self._settled]
+        off = np.hypot(settled[:, 0] - map_t_laser[0], settled[:, 1] - map_t_laser[1])
+        off += 0.5 * np.abs(wrap(settled[:, 2] - map_t_laser[2]))
+        if len(off) == 0 or off.min() > 5.0:
+            return False
+        near = int(off.argmin())
+        known = _in_map(POINT_GAIN * information, -map_t_laser[2]) + 1e-3 * np.eye(3)
+        measured = between(settled[near], map_t_laser)
+        self.places.append((near, len(self.path) - 1, measured, known, doubt))
+        self._drift = np.asarray(np.linalg.inv(np.linalg.inv(self._drift + 1e-9 * np.eye(3)) + known))
+        return True
+
+    def _due(self) -> bool:
+        every = self.config.try_every_m * (0.5 if self._pending else 1.0)
+        return self.way_m[-1] - self._tried_m > every
+
+    def _close(self) -> Pose | None:
+        """Search the last metres in the settled map; where they are found, smooth the path."""
+        self._tried_m = self.way_m[-1]
+        found = self._find()
+        if found is None:
+            return None
+        place, risky = found
+        if risky and not self._confirmed(place):
+            return None
+        query = self._query()
+        hold = np.diag((1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.05**2))
+        fit = self._map.refine(query, place, hold)
+        if (np.abs(between(place, fit.map_t_points)) > MOST_CORRECTION).any():
+            return None
+        share = len(self.points[-1]) / len(query)
+        if not self._relate(fit.map_t_points, share * fit.information, 0.0):
+            return None
+        self.closures += 1
+        self.linked, self._misses, self._pending = True, 0, None
+        self.path = self.smoothed()
+        self._rebuild()
+        return self.path.copy()
+
+    def _find(self) -> tuple[Pose, bool] | None:
+        """Return where the last metres fit in the window, and whether that wants a second look."""
+        c, at = self.config, self.path[-1]
+        away_m = self._away_m()
+        away_rad = float(np.sqrt(self._drift[2, 2]))
+        reach_m = min(3.0 * away_m + 0.5, c.most_window_m)
+        reach_rad = min(3.0 * away_rad + 0.1, c.most_window_rad)
+        settled = self.path[: self._settled]
+        off = np.hypot(settled[:, 0] - at[0], settled[:, 1] - at[1])
+        if (off < reach_m + 3.0).sum() < 5:
+            return None
+        near = np.flatnonzero(off < reach_m + c.reach_m)
+        cloud = np.vstack([transform(settled[k], self.points[k]) for k in near])
+        cloud = cloud[(np.abs(cloud - at[:2]) < reach_m + c.reach_m + 5.0).all(axis=1)]
+        query = self._query()
+        if len(cloud) < 100 or len(query) < 50:
+            return None
+        field = build_field(_thinned(cloud, FIELD_CELL_M), FIELD_CELL_M, FIELD_SIGMA_M, 0.3)
+        result = search(field, query, at, reach_m, reach_rad, c.least_score - 0.1)
+        if result is None or result.best.score < c.least_score:
+            return None
+        rival = result.rival.score / result.best.score if result.rival else 0.0
+        far = away_m > FAR_M
+        off_by = between(at, result.best.map_t_points)
+        spread = self._drift + np.diag((0.05**2, 0.05**2, 0.01**2))
+        if (
+            rival > (c.far_rival_ratio if far else c.rival_ratio)
+            or off_by @ np.linalg.solve(spread, off_by) > GATE
+        ):
+            return None
+        return result.best.map_t_points, far or rival > c.far_rival_ratio
+
+    def _away_m(self) -> float:
+        """How far the path may be off in the direction that is known worst, one sigma."""
+        return float(np.sqrt(np.linalg.eigvalsh(self._drift[:2, :2]).max()))
+
+    def _confirmed(self, place: Pose) -> bool:
+        """Whether the try before, carried on by the path since, found the same place."""
+        before = self._pending
+        shift = compose(place, between(self.path[-1], np.zeros(3)))
+        self._pending = (self.way_m[-1], shift)
+        if before is None or self.way_m[-1] - before[0] > 3.0 * self.config.try_every_m:
+            return False
+        apart = np.abs(between(compose(before[1], self.path[-1]), place))
+        return bool((apart < (0.3, 0.3, 0.07)).all())
+
+    def _query(self) -> Points:
+        """Gather the points of the last metres of way, evenly, in the newest laser frame."""
+        c = self.config
+        length_m = min(max(c.query_m, 6.0 * self._away_m()), c.most_query_m)
+        first = int(np.searchsorted(self.way_m, self.way_m[-1] - length_m))
+        here = self.path[-1]
+        parts = [
+            transform(between(here, self.path[k]), self.points[k]) for k in range(first, len(self.points))
+        ]
+        query = _thinned(np.vstack(parts), 0.1)
+        if len(query) > QUERY_POINTS:
+            query = query[np.linspace(0, len(query) - 1, QUERY_POINTS).astype(np.int64)]
+        return np.ascontiguousarray(query)
+
+    def _relations(self) -> Relations:
+        chain = np.arange(1, len(self.path))
+        informations = np.linalg.inv(np.array(self.covariances[1:]))
+        ends = np.column_stack((chain - 1, chain))
+        measured, bends = np.array(self.motions[1:]), np.zeros(len(chain))
+        if self.places:
+            near, key, seen, known, doubt = zip(*self.places, strict=True)
+            ends = np.vstack((ends, np.column_stack((near, key))))
+            measured = np.vstack((measured, seen))
+            informations = np.concatenate((informations, known))
+            bends = np.concatenate((bends, doubt))
+        return Relations(ends, measured, informations, bends)
+
+
+def _thinned(points: Points, cell_m: float) -> Points:
+    """Keep the first point of each cell of a grid."""
+    cells = np.floor(points / cell_m).astype(np.int64)
+    _, first = np.unique(cells[:, 0] * 2_000_003 + cells[:, 1], return_index=True)
+    return points[first]
+
+
+def _in_map(covariance: Matrix, yaw_rad: float) -> Matrix:
+    """Turn a covariance or information (3, 3) of the laser's frame into the map's axes."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    turn = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+    return np.asarray(turn @ covariance @ turn.T)
+
+
+def _carried(covariance: Matrix, old_t_new: Pose) -> Matrix:
+    """Express the covariance of a pose, given in its old frame, in its new frame after a further motion."""
+    c, s = np.cos(old_t_new[2]), np.sin(old_t_new[2])
+    turn = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
+    lever = np.array(((1.0, 0.0, -old_t_new[1]), (0.0, 1.0, old_t_new[0]), (0.0, 0.0, 1.0)))
+    jacobian = turn @ lever
+    return np.asarray(jacobian @ covariance @ jacobian.T)

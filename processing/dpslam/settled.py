@@ -1,0 +1,119 @@
+"""The settled map: an NDT of the key scans that lie so far behind that the laser sees them no more.
+
+Being found on it means having come back. It only grows; when the path below it moves, it is built anew.
+"""
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.dpslam.settled_kernels import fit_of_points, refit
+from processing.matching_kernels import polish
+from processing.ndt import NdtConfig, Points
+from processing.ndt_kernels import accumulate
+from processing.se2 import Pose
+
+_T = TypeVar("_T", bound=np.generic)
+CELL_M = 0.25
+"""Many scans fill a cell here, so it may be smaller than the half metre that one scan needs."""
+_BLURS = np.array((0.01, 0.0))
+"""Variances (m^2) that widen the cells: first a decimetre, for the basin; then as they are."""
+_FREE = 1e9
+"""Degrees of freedom of a normal prior."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Where a scan lies on the map."""
+
+    map_t_points: Pose
+    information: NDArray[np.float64]
+    """(3, 3) Gauss-Newton information of the score, map axes, one unit a point that fits."""
+
+
+class SettledMap:
+    """Normal distributions of everything added so far."""
+
+    def __init__(self) -> None:
+        c = NdtConfig(cell_m=CELL_M)
+        self._half_m = 0.5 * CELL_M
+        self._rule = np.array((c.min_points, c.min_deviation_m**2, c.min_ratio, c.flat_ratio, c.flat_stretch))
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._origin = np.array((0.0, 0.0, 1.0 / self._half_m))
+        self._slots = np.full((3, 0, 0), -1, dtype=np.int32)
+        self._sums: NDArray[np.float64] = np.zeros((0, 6))
+        self._places: NDArray[np.int32] = np.zeros((0, 2), dtype=np.int32)
+        self._normals: NDArray[np.float64] = np.zeros((0, 5))
+        self._counts = np.zeros(3, dtype=np.int64)
+
+    def add(self, points_map: Points) -> None:
+        """Work points (N, 2) into the map."""
+        if len(points_map) == 0:
+            return
+        self._make_room(points_map)
+        points = np.ascontiguousarray(points_map)
+        accumulate(points, self._origin, self._slots, self._sums, self._places, self._counts)
+        self._counts[1] = refit(
+            points, self._origin, self._slots, self._sums, self._normals, self._rule, self._counts[1]
+        )
+
+    def fits(self, points: Points, map_t_points: Pose) -> NDArray[np.float64]:
+        """Score each of the points (N, 2) at a pose, 0 to 1; -1 where the map knows nothing."""
+        fits = np.empty(len(points))
+        fit_of_points(points, self._origin, self._slots, self._normals, map_t_points, fits)
+        return fits
+
+    def refine(self, points: Points, map_t_guess: Pose, information: NDArray[np.float64]) -> Fit:
+        """Lay points (N, 2) on the map, from a guess held with the given information (3, 3), map axes."""
+        prior = np.concatenate((map_t_guess, information.ravel(), (_FREE, 1.0)))
+        pose, curvature, report = np.array(map_t_guess), np.zeros((2, 3, 3)), np.zeros(3)
+        polish(points, self._origin, self._slots, self._normals, prior, _BLURS, pose, curvature, report)
+        return Fit(pose, curvature[1])
+
+    def _make_room(self, points: Points) -> None:
+        """Let the window cover the points with a border, and the tables hold what they may add."""
+        low = np.floor(points.min(axis=0) / self._half_m).astype(np.int64) - 2
+        high = np.floor(points.max(axis=0) / self._half_m).astype(np.int64) + 3
+        old_low = np.round(self._origin[:2] / self._half_m).astype(np.int64)
+        shape = np.array(self._slots.shape[:0:-1])
+        if shape[0] == 0:
+            old_low = low
+        if (low < old_low).any() or (high > old_low + shape).any():
+            grown = np.maximum(np.maximum(shape, 64) // 4, 8)
+            new_low = np.where(low < old_low, low - grown, old_low)
+            new_high = np.where(high > old_low + shape, high + grown, old_low + shape)
+            cols, rows = (new_high - new_low).tolist()
+            slots = np.full((3, rows, cols), -1, dtype=np.int32)
+            (at_col, at_row), (n_col, n_row) = (old_low - new_low).tolist(), shape.tolist()
+            slots[:, at_row : at_row + n_row, at_col : at_col + n_col] = self._slots
+            self._slots = slots
+            self._origin[:2] = new_low * self._half_m
+            self._shift(np.asarray((old_low - new_low) * self._half_m, dtype=np.float64))
+        need = int(self._counts[0]) + len(points)
+        if need > len(self._sums):
+            size = 2 * need
+            self._sums = _longer(self._sums, size)
+            self._places = _longer(self._places, size)
+            self._normals = _longer(self._normals, 4 * size)
+
+    def _shift(self, moved: NDArray[np.float64]) -> None:
+        """Express sums and normals from a corner that lies `moved` (2,) m down and left of the old one."""
+        n, (x, y) = self._sums[:, 0], moved
+        su, sv = self._sums[:, 1].copy(), self._sums[:, 2].copy()
+        self._sums[:, 1] += n * x
+        self._sums[:, 2] += n * y
+        self._sums[:, 3] += 2.0 * x * su + n * x * x
+        self._sums[:, 4] += x * sv + y * su + n * x * y
+        self._sums[:, 5] += 2.0 * y * sv + n * y * y
+        self._normals[:, :2] += moved
+
+
+def _longer(table: NDArray[_T], size: int) -> NDArray[_T]:
+    grown = np.zeros((size, table.shape[1]), dtype=table.dtype)
+    grown[: len(table)] = table
+    return grown

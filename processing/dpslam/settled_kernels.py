@@ -1,0 +1,67 @@
+"""Compiled inner loops of the settled map: normals kept up to date point by point, and how a scan fits them.
+
+Same arrays as `processing.ndt_kernels`, but the map grows instead of being built anew. Arrays and scalars in
+and out; nothing is checked here (`processing.dpslam.settled` does that).
+"""
+
+import numpy as np
+from numba import njit
+
+from processing.ndt_kernels import fit, point_score
+
+
+@njit(
+    "i8(f8[:,::1], f8[::1], i4[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], i8)",
+    cache=True,
+    nogil=True,
+)
+def refit(points, origin, slots, sums, normals, rule, used):
+    """Fit anew every block in which any point (N, 2) lies; return how many rows of `normals` are used."""
+    rows, cols = slots.shape[1], slots.shape[2]
+    normal = np.empty(5)
+    for k in range(points.shape[0]):
+        col = int(np.floor((points[k, 0] - origin[0]) * origin[2]))
+        row = int(np.floor((points[k, 1] - origin[1]) * origin[2]))
+        if row < 1 or col < 1 or row >= rows - 1 or col >= cols - 1:
+            continue
+        for block_row in range(row - 1, row + 1):
+            for block_col in range(col - 1, col + 1):
+                n = su = sv = suu = suv = svv = 0.0
+                for r in range(block_row, block_row + 2):
+                    for c in range(block_col, block_col + 2):
+                        half = slots[0, r, c]
+                        if half >= 0:
+                            n += sums[half, 0]
+                            su += sums[half, 1]
+                            sv += sums[half, 2]
+                            suu += sums[half, 3]
+                            suv += sums[half, 4]
+                            svv += sums[half, 5]
+                if fit(n, su, sv, suu, suv, svv, rule, normal):
+                    slot = slots[1, block_row, block_col]
+                    if slot < 0:
+                        slot = used
+                        slots[1, block_row, block_col] = slot
+                        used += 1
+                    normals[slot, :] = normal
+    return used
+
+
+@njit("void(f8[:,::1], f8[::1], i4[:,:,::1], f8[:,::1], f8[::1], f8[::1])", cache=True, nogil=True)
+def fit_of_points(points, origin, slots, normals, pose, fits):
+    """Write the score of each point (N, 2) moved to `pose`, 0 to 1; -1 where the map knows nothing."""
+    cs, sn, inverse = np.cos(pose[2]), np.sin(pose[2]), origin[2]
+    rows, cols = slots.shape[1], slots.shape[2]
+    for k in range(points.shape[0]):
+        u = cs * points[k, 0] - sn * points[k, 1] + pose[0] - origin[0]
+        v = sn * points[k, 0] + cs * points[k, 1] + pose[1] - origin[1]
+        col, row = int(np.floor(u * inverse)), int(np.floor(v * inverse))
+        fits[k] = -1.0
+        if row < 1 or col < 1 or row >= rows or col >= cols:
+            continue
+        known = False
+        for r in range(row - 1, row + 1):
+            for c in range(col - 1, col + 1):
+                known = known or slots[1, r, c] >= 0
+        if known:
+            fits[k] = point_score(u, v, row, col, slots, normals, inverse, 0.0)

@@ -1,0 +1,115 @@
+"""Coming back is noticed, the path is bent so that it has, and a look-alike is not taken for home."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from drivers.world.drive import simulate_scans
+from drivers.world.generators import corridor, square_of_corridors
+from drivers.world.laser import Sick, bearings
+from processing.dpslam.loops import LoopConfig, Loops
+from processing.se2 import between, compose
+
+KEY_M, KEY_RAD = 0.3, 0.25
+
+
+def key_scans(building, route=None, laps=1, max_scans=None, seed=1):
+    """Points of every key scan (every other ray), and its true pose."""
+    laser = Sick()
+    directions = bearings(laser)[::2]
+    last, keys = None, []
+    drive = simulate_scans(
+        building,
+        route,
+        laser=laser,
+        speed_mps=0.8,
+        turn_rate_radps=0.7,
+        laps=laps,
+        max_scans=max_scans,
+        seed=seed,
+    )
+    for _, ranges, truth in drive:
+        if last is not None:
+            moved = between(last, truth)
+            if np.hypot(moved[0], moved[1]) < KEY_M and abs(moved[2]) < KEY_RAD:
+                continue
+        last = truth
+        reach = ranges[::2].astype(np.float64)
+        seen = np.isfinite(reach) & (reach < 30.0)
+        points = reach[seen, None] * np.column_stack((np.cos(directions), np.sin(directions)))[seen]
+        keys.append((points, truth))
+    return keys
+
+
+def drifting(keys, turn_rad_per_m, stretch):
+    """The motions between key scans as a matcher with a bias would report them."""
+    motions = [np.zeros(3)]
+    for (_, a), (_, b) in itertools.pairwise(keys):
+        moved = between(a, b)
+        step_m = np.hypot(moved[0], moved[1])
+        motions.append(moved * (1 + stretch, 1 + stretch, 1.0) + (0.0, 0.0, turn_rad_per_m * step_m))
+    return motions
+
+
+def follow(keys, motions, covariance=None):
+    """Run the loops over a single lineage; the path as it was without them, and as they left it."""
+    loops, alone = Loops(LoopConfig()), np.zeros((1, 3))
+    for k, (points, _) in enumerate(keys):
+        path = loops.path
+        new = np.zeros(3) if k == 0 else compose(path[-1], motions[k])
+        if k:
+            alone = np.vstack((alone, compose(alone[-1], motions[k])))
+        cov = np.zeros((3, 3)) if covariance is None else covariance
+        loops.step(motions[k], cov, points, np.vstack((path, new)))
+    return loops, alone
+
+
+@pytest.fixture(scope="module")
+def round_the_block():
+    return key_scans(square_of_corridors(20.0), laps=2, max_scans=620)
+
+
+def worst(path, keys):
+    """Largest distance to the truth, both seen from the first pose."""
+    truth = np.array([pose for _, pose in keys])
+    return np.hypot(*between(np.tile(truth[0], (len(truth), 1)), truth)[:, :2].T - path[:, :2].T).max()
+
+
+def test_a_loop_takes_the_drift_out_of_the_whole_path(round_the_block):
+    motions = drifting(round_the_block, 0.002, 0.004)
+    loops, alone = follow(round_the_block, motions)
+    assert worst(alone, round_the_block) > 1.0
+    assert loops.closures >= 1
+    assert loops.linked
+    smoothed = loops.smoothed()
+    assert len(smoothed) == len(round_the_block)
+    assert worst(smoothed, round_the_block) < 0.4
+
+
+def test_a_path_without_drift_is_not_bent(round_the_block):
+    loops, _ = follow(round_the_block, drifting(round_the_block, 0.0, 0.0))
+    assert worst(loops.smoothed(), round_the_block) < 0.06
+
+
+def test_the_same_steps_give_the_same_bits(round_the_block):
+    motions = drifting(round_the_block, -0.002, 0.003)
+    first, second = (follow(round_the_block, motions)[0].smoothed() for _ in range(2))
+    np.testing.assert_array_equal(first, second)
+
+
+def test_a_plain_corridor_is_nobodys_place():
+    # There and back in a corridor that looks alike everywhere, with a matcher that cannot see along it.
+    building = corridor(80.0, 2.0)
+    route = np.array(((25.0, 1.0), (50.0, 1.0), (25.0, 1.0)))
+    keys = [(points[np.abs(points[:, 0]) < 8.0], truth) for points, truth in key_scans(building, route)]
+    blind = np.diag((0.05**2, 1e-4, 1e-6))
+    loops, alone = follow(keys, drifting(keys, 0.0, 0.02), blind)
+    assert loops.closures == 0
+    np.testing.assert_array_equal(loops.path, alone)
+
+
+@pytest.mark.parametrize(("name", "value"), [("reach_m", 0.0), ("least_score", 1.5), ("rival_ratio", 0.0)])
+def test_a_setting_out_of_its_range_is_refused(name, value):
+    with pytest.raises(ValueError, match=name):
+        LoopConfig(**{name: value})

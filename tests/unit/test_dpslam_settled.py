@@ -1,0 +1,62 @@
+"""The settled map grows into what it would be if built at once, and holds scans that lie on it."""
+
+import numpy as np
+
+from processing.dpslam.settled import CELL_M, SettledMap
+from processing.se2 import between, invert, transform
+
+
+def room(seed=0, count=4000):
+    """Noisy points of the walls of a room of 6 by 4 m with a pillar."""
+    rng = np.random.default_rng(seed)
+    u = rng.uniform(0, 1, count)
+    side = rng.integers(0, 5, count)
+    x = np.choose(side, (6 * u, 6 * u, 0 * u, 6 + 0 * u, 4 + 0.3 * np.cos(6.28 * u)))
+    y = np.choose(side, (0 * u, 4 + 0 * u, 4 * u, 4 * u, 2 + 0.3 * np.sin(6.28 * u)))
+    return np.column_stack((x, y)) + rng.normal(0, 0.01, (count, 2))
+
+
+def test_it_makes_no_difference_in_which_pieces_the_points_came():
+    points = room() - (3.0, 2.0)
+    whole, pieces = SettledMap(), SettledMap()
+    whole.add(points)
+    # From the middle outwards, so that the window has to grow on all sides.
+    for part in np.array_split(points[np.argsort(np.abs(points).max(axis=1))], 37):
+        pieces.add(part)
+    probe = np.random.default_rng(1).uniform(-3.5, 3.5, (500, 2))
+    nowhere = np.zeros(3)
+    np.testing.assert_allclose(pieces.fits(probe, nowhere), whole.fits(probe, nowhere), atol=1e-6)
+
+
+def test_a_scan_finds_its_place():
+    settled = SettledMap()
+    settled.add(room())
+    truth = np.array((2.0, 1.5, 0.4))
+    scan = transform(invert(truth), room(seed=5, count=200))
+    guess = truth + np.array((0.12, -0.1, 0.04))
+    fit = settled.refine(scan, guess, np.diag((1.0, 1.0, 1.0)))
+    assert np.abs(between(truth, fit.map_t_points)).max() < 0.01
+    assert np.linalg.eigvalsh(fit.information).min() > 0.0
+    assert (settled.fits(scan, fit.map_t_points) > 0.3).mean() > 0.7
+
+
+def test_ground_that_was_never_seen_is_unknown():
+    settled = SettledMap()
+    assert (settled.fits(room(), np.zeros(3)) == -1.0).all()
+    settled.add(room())
+    far = np.array((100.0, 100.0, 0.0))
+    assert (settled.fits(room(), far) == -1.0).all()
+    settled.clear()
+    assert (settled.fits(room(), np.zeros(3)) == -1.0).all()
+
+
+def test_a_wall_holds_across_itself_only():
+    rng = np.random.default_rng(3)
+    wall = np.column_stack((rng.uniform(0, 10, 3000), rng.normal(0, 0.01, 3000)))
+    settled = SettledMap()
+    settled.add(wall)
+    part = wall[(wall[:, 0] > 4) & (wall[:, 0] < 6)][::6] - (5.0, 0.0)
+    fit = settled.refine(part, np.array((5.0 + 0.3 * CELL_M, 0.03, 0.0)), np.diag((1.0, 1.0, 1.0)))
+    assert abs(fit.map_t_points[1]) < 0.005
+    assert abs(fit.map_t_points[0] - (5.0 + 0.3 * CELL_M)) < 0.01
+    assert fit.information[0, 0] < 1e-2 * fit.information[1, 1]
