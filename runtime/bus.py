@@ -91,7 +91,7 @@ class Publisher(Handle, Protocol):
 
     @property
     def matching(self) -> bool:
-        """Whether at least one subscriber is there."""
+        """Whether at least one subscriber is there; always true of a latched topic, which loses nothing."""
 
 
 class Bus(Protocol):

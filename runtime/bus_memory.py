@@ -62,6 +62,8 @@ class _MemoryPublisher(_Declared):
 
     @property
     def matching(self) -> bool:
+        if self._latched:
+            return True
         with self._network.lock:
             return any(key_matches(pattern, self.key) for pattern, _ in self._network.readers.values())
 

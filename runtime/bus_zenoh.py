@@ -47,8 +47,11 @@ class _Publisher(_Declared):
     @property
     def matching(self) -> bool:
         """See Publisher.matching."""
-        # The status object itself is always true.
-        return self._entity is not None and bool(self._entity.matching_status.matching)
+        # The status object itself is always true; an advanced publisher has none.
+        if self._entity is None:
+            return False
+        status = getattr(self._entity, "matching_status", None)
+        return status is None or bool(status.matching)
 
 
 _D = TypeVar("_D", bound=_Declared)

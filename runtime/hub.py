@@ -13,7 +13,7 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-from runtime import links, realtime
+from runtime import gate, keys, links, realtime
 from runtime.errors import HallwayError
 from runtime.process import PARENT_VARIABLE, log_to_stderr
 
@@ -25,6 +25,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         realtime.die_with_parent(int(parent))
     parser = argparse.ArgumentParser(prog="runtime.hub", description=__doc__)
     parser.add_argument("--run-dir", type=Path, required=True)
+    parser.add_argument("--remote", metavar="ADDRESS:PORT", help="also listen here, for guests with keys")
+    parser.add_argument("--robot", default="robot")
+    parser.add_argument("--domain", type=int, default=0)
     args = parser.parse_args(argv)
     log_to_stderr()
     stop = threading.Event()
@@ -33,7 +36,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     from runtime.bus_zenoh import ZenohBus
 
     try:
-        with ZenohBus(links.hub(args.run_dir)):
+        door = None
+        if args.remote:
+            door = gate.door(keys.authority(args.robot), args.robot, args.domain, args.remote)
+        with ZenohBus(links.hub(args.run_dir, door)):
             stop.wait()
     except HallwayError as error:
         logging.getLogger("hub").error("%s", error)

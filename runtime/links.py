@@ -14,7 +14,7 @@ LEASE_MS = 2000
 """A peer that is silent for so long is gone. A shorter lease would drop a peer that compiles its kernels."""
 _SOCKET_PATH_MAX = 107  # sun_path of the kernel, without its closing zero
 
-_BASE: dict[str, Any] = {
+BASE: dict[str, Any] = {
     "scouting": {
         "multicast": {"enabled": False},
         "delay": 200,
@@ -55,7 +55,7 @@ def socket(run_dir: Path, name: str) -> str:
 def peer(run_dir: Path, name: str) -> dict[str, Any]:
     """Return the session of a process on the robot."""
     return merged(
-        _BASE,
+        BASE,
         {
             "mode": "peer",
             "listen": {"endpoints": [socket(run_dir, name)]},
@@ -67,7 +67,7 @@ def peer(run_dir: Path, name: str) -> dict[str, Any]:
 def visitor(run_dir: Path) -> dict[str, Any]:
     """Return the session of a command that looks at a robot of this machine; it listens nowhere."""
     return merged(
-        _BASE,
+        BASE,
         {
             "mode": "client",
             "connect": {"endpoints": [socket(run_dir, "hub")], "timeout_ms": 2000, "exit_on_failure": True},
@@ -75,6 +75,10 @@ def visitor(run_dir: Path) -> dict[str, Any]:
     )
 
 
-def hub(run_dir: Path) -> dict[str, Any]:
-    """Return the session of the hub."""
-    return merged(_BASE, {"mode": "router", "listen": {"endpoints": [socket(run_dir, "hub")]}})
+def hub(run_dir: Path, gate: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return the session of the hub; with a `gate` also for guests from outside."""
+    inside = merged(BASE, {"mode": "router", "listen": {"endpoints": [socket(run_dir, "hub")]}})
+    if gate is None:
+        return inside
+    endpoints = [*inside["listen"]["endpoints"], *gate["listen"]["endpoints"]]
+    return merged(merged(inside, gate), {"listen": {"endpoints": endpoints}})

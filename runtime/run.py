@@ -30,6 +30,7 @@ class Run:
         file: Where it was read from; the processes read it again.
         run_dir: Of this robot, claimed.
         results_dir: Folder of the results; each node writes into its own folder in it until `collect`.
+        remote: `address:port` at which guests with keys are let in; nowhere if empty.
         open_bus: Opens a session of this run.
         on_event: Hears of everything that happens to a process.
     """
@@ -41,6 +42,7 @@ class Run:
         run_dir: Path,
         results_dir: Path,
         *,
+        remote: str = "",
         open_bus: Callable[[dict[str, Any]], Bus],
         on_event: Callable[[Event], None] = lambda event: None,
     ) -> None:
@@ -56,7 +58,7 @@ class Run:
         (run_dir / "logs").symlink_to((results_dir / "logs").absolute())
         self.supervisor = Supervisor(
             graph,
-            commands(graph, file.absolute(), run_dir, results_dir.absolute()),
+            commands(graph, file.absolute(), run_dir, results_dir.absolute(), remote=remote),
             results_dir / "logs",
             self.clock,
             self._note,

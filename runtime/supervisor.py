@@ -170,10 +170,18 @@ class Supervisor:
 
 
 def commands(
-    graph: Graph, file: Path, run_dir: Path, results_dir: Path, *, python: str = sys.executable
+    graph: Graph,
+    file: Path,
+    run_dir: Path,
+    results_dir: Path,
+    *,
+    remote: str = "",
+    python: str = sys.executable,
 ) -> dict[str, list[str]]:
     """Return the command line of the hub and of every node; each node has its own folder of the results."""
     lines = {HUB: [python, "-m", "runtime.hub", "--run-dir", str(run_dir)]}
+    if remote:
+        lines[HUB] += ["--remote", remote, "--robot", graph.robot, "--domain", str(graph.domain)]
     for name in graph.nodes:
         lines[name] = [
             *(python, "-m", "runtime.node", name, "--graph", str(file), "--run-dir", str(run_dir)),

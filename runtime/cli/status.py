@@ -18,14 +18,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show the status until Ctrl-C; with --once 0 if every process is well, else 1."""
-    from runtime import links, rundir
+    from runtime import gate, rundir
     from runtime.bus_zenoh import ZenohBus
     from runtime.cli.screen import Screen
     from runtime.health import Health
     from runtime.status import status_of
 
-    run_dir = rundir.running(args.robot)
-    with ZenohBus(links.visitor(run_dir)) as bus:
+    with ZenohBus(gate.visit(args.robot)) as bus:
         health = Health(bus, args.robot, args.domain)
         began = time.monotonic()
         if args.once:
@@ -38,7 +37,8 @@ def run(args: argparse.Namespace) -> int:
             well = all(line.level == "ok" for line in status.processes)
             return 0 if well and status.processes else 1
         with Screen(quiet=args.json) as screen:
-            while rundir.is_running(args.robot):
+            here = rundir.is_running(args.robot)
+            while not here or rundir.is_running(args.robot):
                 status = status_of(args.robot, health.vitals())
                 screen.show(status, time.monotonic() - began)
                 if args.json:

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Drive until Ctrl-C."""
-    from runtime import links, rundir
+    from runtime import gate
     from runtime.bus import Bus
     from runtime.clock import Clock
     from runtime.errors import ConfigError
@@ -36,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
         config = teleop.Config(speed_mps=args.speed, turn_rate_radps=args.turn, name=args.name)
     except ValueError as error:
         raise ConfigError(f"hallway teleop: {error}") from error
-    where = links.visitor(rundir.running(args.robot))
+    where = gate.visit(args.robot)
 
     def open_bus() -> Bus:
         from runtime.bus_zenoh import ZenohBus

@@ -24,10 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Look until Ctrl-C, or as long as asked; 1 if nothing came."""
-    from runtime import links, rundir
+    from runtime import gate
     from runtime.bus_zenoh import ZenohBus
 
-    with ZenohBus(links.visitor(rundir.running(args.robot))) as bus:
+    with ZenohBus(gate.visit(args.robot)) as bus:
         return _list(bus, args) if args.action == "list" else _follow(bus, args)
 
 

@@ -28,6 +28,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="results folder (default results/TIME)")
     parser.add_argument("--robot", metavar="NAME", help="instead of the graph's")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the graph's")
+    parser.add_argument(
+        "--remote",
+        nargs="?",
+        const="",
+        metavar="ADDRESS:PORT",
+        help="let guests with keys in, at this address (default all addresses, port 7448)",
+    )
     parser.add_argument("--json", action="store_true", help="machine-readable, one object at the end")
 
 
@@ -36,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     from dataclasses import replace
 
     from runtime import graph as graphs
-    from runtime import rundir
+    from runtime import keys, rundir
     from runtime.bus_zenoh import ZenohBus
     from runtime.cli.screen import Screen
     from runtime.config import to_yaml
@@ -53,6 +60,10 @@ def run(args: argparse.Namespace) -> int:
         graph = replace(graph, **changes)
     except ValueError as error:
         raise ConfigError(f"--{error}") from error
+    remote = ""
+    if args.remote is not None:
+        keys.authority(graph.robot)
+        remote = args.remote or f"0.0.0.0:{keys.PORT}"
     headless = args.headless or not _has_screen()
     if headless:
         graph = graph.without_screen()
@@ -71,6 +82,7 @@ def run(args: argparse.Namespace) -> int:
             file,
             run_dir,
             out,
+            remote=remote,
             open_bus=ZenohBus,
             on_event=lambda event: screen.say(f"  {event.node}: {event.text}"),
         )

@@ -74,6 +74,7 @@ class TestBus:
         ours, theirs = next(sessions), next(sessions)
         publisher = ours.publisher("a/b")
         assert not wait_matching(publisher, 0.0)
+        assert wait_matching(ours.publisher("map", latched=True), 0.0)
         theirs.subscribe("a/*", Mailbox(1).put)
         assert wait_matching(publisher, 5.0)
 

@@ -287,3 +287,10 @@ def test_a_folder_of_other_things_is_not_touched(desk):
     assert code == 2
     assert "photos: holds " in err
     assert (desk.folder / "photos" / "cat.png").read_text() == "cat"
+
+
+def test_without_keys_no_door_is_opened(desk):
+    desk.environment["HALLWAY_KEYS"] = str(desk.folder / "keys")
+    code, out, err = desk.hallway("up", "g.yaml", "--out", "res", "--remote")
+    assert (code, out) == (2, "")
+    assert "robot 'trial' has no keys yet; make them with: hallway keys make" in err

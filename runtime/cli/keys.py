@@ -1,0 +1,57 @@
+"""Decide who may come to a robot from another machine: make keys, invite, revoke, pair."""
+
+import argparse
+from pathlib import Path
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments; heavy imports wait until `run`."""
+    parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
+    actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
+    make = actions.add_parser("make", help="on the robot, once: its authority and the certificate of its hub")
+    make.add_argument(
+        "--host", action="append", default=[], metavar="H", help="a name or address it will have"
+    )
+    invite = actions.add_parser("invite", help="on the robot: a file that lets one guest in")
+    invite.add_argument("guest", help="name of the guest")
+    invite.add_argument("--role", choices=("viewer", "operator"), default="viewer", help="default viewer")
+    invite.add_argument("--address", metavar="HOST[:PORT]", help="of the robot (default its first address)")
+    invite.add_argument("--out", type=Path, metavar="FILE", help="default GUEST.invitation")
+    revoke = actions.add_parser("revoke", help="on the robot: strike a guest off the list")
+    revoke.add_argument("guest")
+    actions.add_parser("list", help="on the robot: the guests and their roles")
+    pair = actions.add_parser("pair", help="on the laptop: keep an invitation")
+    pair.add_argument("file", type=Path)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do what was asked; 2 where it cannot be."""
+    from runtime import keys
+    from runtime.errors import ConfigError
+
+    if args.action == "make":
+        made = keys.make(args.robot, args.host)
+        print(f"{made.folder}: keys of robot {args.robot!r}; next: hallway keys invite GUEST")
+    elif args.action == "invite":
+        address = args.address or next(
+            (a for a in keys.own_addresses() if not a.startswith(("127.", "::1"))), None
+        )
+        if address is None:
+            raise ConfigError("this machine has no address that others reach; give one with --address")
+        out = args.out or Path(f"{args.guest}.invitation")
+        if out.exists():
+            raise ConfigError(f"{out}: exists already")
+        invitation = keys.invite(args.robot, args.guest, args.role, address)
+        keys.write_private(out, invitation.to_bytes())
+        print(f"{out}: lets {args.guest} in as {args.role}, at {invitation.address}; it is secret")
+        print(f"on the laptop: hallway keys pair {out.name}; counts from the next start of the robot")
+    elif args.action == "revoke":
+        keys.revoke(args.robot, args.guest)
+        print(f"{args.guest} is off the list; counts from the next start of the robot")
+    elif args.action == "list":
+        for guest, role in keys.authority(args.robot).roster().items():
+            print(f"{guest:20} {role}")
+    else:
+        invitation = keys.pair(args.file)
+        print(f"robot {invitation.robot!r} at {invitation.address}: paired, as {invitation.role}")
+    return 0

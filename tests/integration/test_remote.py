@@ -1,0 +1,256 @@
+"""Guests over a network: what each may see and do, proven with the guest in another network namespace.
+
+The two namespaces are joined by one wire and see nothing else. `CI_REQUIRE_NETNS=1` makes it a failure, not
+a skip, when this machine does not let us make them.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from runtime import keys
+
+ROOT = Path(__file__).resolve().parents[2]
+ROBOT, LAPTOP = "10.77.31.1", "10.77.31.2"
+
+ROBOT_SIDE = """
+    import json, subprocess, sys, threading, time
+    from pathlib import Path
+    from runtime import links
+    from runtime.bus import Mailbox
+    from runtime.bus_zenoh import ZenohBus
+    from runtime.node import BusPort
+    from runtime.topics import topic
+    run_dir, address = Path(sys.argv[1]), sys.argv[2]
+    hub = [sys.executable, "-m", "runtime.hub", "--run-dir", str(run_dir), "--remote", f"{address}:7448"]
+    with subprocess.Popen(hub) as process:
+        while not (run_dir / "hub.sock").exists():
+            time.sleep(0.01)
+        peer = ZenohBus(links.peer(run_dir, "base"))
+        with BusPort("base", lambda: peer, subscribes=("cmd_vel",), publishes=("scan", "map")) as port:
+            commands = port.subscribe("cmd_vel", keep=256, raw=True)
+            port.ready()
+            secret = peer.publisher("0/other/secret")
+            port.publish_raw("map", bytes(1_000_000))
+            stop = threading.Event()
+            threading.Thread(target=lambda: (sys.stdin.readline(), stop.set()), daemon=True).start()
+            print("up", flush=True)
+            while not stop.wait(0.02):
+                port.publish_raw("scan", bytes(2800))
+                secret.put(b"x", b"")
+            print(json.dumps({"commands": commands.received}), flush=True)
+        process.terminate()
+"""
+
+GUEST_SIDE = """
+    import json, sys, time
+    from runtime import gate, keys, messages
+    from runtime.bus import Mailbox, wait_matching
+    from runtime.bus_zenoh import BusError, ZenohBus
+    from runtime.topics import topic
+    def key(name): return messages.topic_key(f"robot/{name}", topic(name).type)
+    config = gate.visit("robot")
+    config["mode"] = sys.argv[1]
+    if len(sys.argv) > 2:
+        config["connect"]["endpoints"] = [sys.argv[2]]
+        config["transport"]["link"].pop("tls", None)
+    try:
+        bus = ZenohBus(config)
+    except BusError as error:
+        print(json.dumps({"refused": str(error)}))
+        sys.exit()
+    with bus:
+        boxes = {"scan": Mailbox(256), "map": Mailbox(2), "secret": Mailbox(2)}
+        bus.subscribe(key("scan"), boxes["scan"].put)
+        bus.subscribe(key("map"), boxes["map"].put, latched=True)
+        bus.subscribe("0/other/**", boxes["secret"].put)
+        stick = bus.publisher(key("cmd_vel"))
+        wait_matching(stick, 1.0)
+        for sequence in range(1, 21):
+            stick.put(bytes(60), messages.Attachment(sequence, 0, bytes(16)).encode())
+            time.sleep(0.1)
+        nodes = [messages.node_of_token(t) for t in bus.tokens("@ros2_lv/0/**")]
+        print(json.dumps({
+            "refused": "", "scans": boxes["scan"].received, "secrets": boxes["secret"].received,
+            "map_bytes": max((len(bytes(a.payload)) for a in boxes["map"].take_all()), default=0),
+            "nodes": [n for n in nodes if n],
+        }))
+"""
+
+
+def network(*command):
+    return subprocess.run(["ip", *command], capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def namespaces():
+    """Two network namespaces with a wire between them."""
+    robot, laptop = f"hallway-r{os.getpid()}", f"hallway-l{os.getpid()}"
+    made = [network("netns", "add", name) for name in (robot, laptop)]
+    wires = [
+        ("link", "add", "hw0", "netns", robot, "type", "veth", "peer", "name", "hw0", "netns", laptop),
+        *(("-n", ns, "addr", "add", f"{a}/24", "dev", "hw0") for ns, a in ((robot, ROBOT), (laptop, LAPTOP))),
+        *(("-n", ns, "link", "set", dev, "up") for ns in (robot, laptop) for dev in ("lo", "hw0")),
+    ]
+    made += [network(*wire) for wire in wires]
+    try:
+        if bad := [done.stderr.strip() for done in made if done.returncode]:
+            if os.environ.get("CI_REQUIRE_NETNS"):
+                pytest.fail(f"network namespaces: {bad[0]}")
+            pytest.skip(f"needs network namespaces: {bad[0]}")
+        yield robot, laptop
+    finally:
+        for name in (robot, laptop):
+            network("netns", "del", name)
+
+
+class Robot:
+    """A robot in its namespace, and guests in the other."""
+
+    def __init__(self, folder, namespaces):
+        self.folder, (self.here, self.there) = folder, namespaces
+        (folder / "run").mkdir(mode=0o700)
+
+    def environment(self, user):
+        return {
+            **os.environ,
+            "PYTHONPATH": str(ROOT),
+            "HALLWAY_KEYS": str(self.folder / user),
+            "HALLWAY_RUN": str(self.folder / f"{user}-run"),
+        }
+
+    def invite(self, guest, role):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("HALLWAY_KEYS", str(self.folder / "owner"))
+            invitation = keys.invite("robot", guest, role, ROBOT)
+            file = self.folder / f"{guest}.invitation"
+            keys.write_private(file, invitation.to_bytes())
+            patch.setenv("HALLWAY_KEYS", str(self.folder / guest))
+            keys.pair(file)
+
+    def __enter__(self):
+        self.process = subprocess.Popen(
+            [
+                "ip",
+                "netns",
+                "exec",
+                self.here,
+                sys.executable,
+                "-c",
+                textwrap.dedent(ROBOT_SIDE),
+                str(self.folder / "run"),
+                ROBOT,
+            ],
+            env=self.environment("owner"),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        if self.process.stdout.readline() != "up\n":
+            self.process.communicate()
+            raise AssertionError("the robot did not come up")
+        return self
+
+    def __exit__(self, *_):
+        if self.process.poll() is None:
+            self.commands()
+
+    def guest(self, name, mode="client", endpoint=None):
+        done = subprocess.run(
+            [
+                "ip",
+                "netns",
+                "exec",
+                self.there,
+                sys.executable,
+                "-c",
+                textwrap.dedent(GUEST_SIDE),
+                mode,
+                *([endpoint] if endpoint else []),
+            ],
+            env=self.environment(name),
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+    def commands(self):
+        """End the robot; return how many commands reached its wheels."""
+        out, _ = self.process.communicate("end\n", timeout=30)
+        return json.loads(out)["commands"]
+
+
+@pytest.fixture
+def robot(tmp_path, namespaces, monkeypatch):
+    monkeypatch.setenv("HALLWAY_KEYS", str(tmp_path / "owner"))
+    keys.make("robot", [ROBOT])
+    return Robot(tmp_path, namespaces)
+
+
+def test_a_viewer_sees_everything_of_its_robot_and_drives_nothing(robot):
+    robot.invite("anna", "viewer")
+    with robot:
+        seen = robot.guest("anna")
+        assert seen["scans"] > 50
+        assert seen["map_bytes"] == 1_000_000
+        assert seen["nodes"] == ["base"]
+        assert seen["secrets"] == 0
+        assert robot.commands() == 0
+
+
+def test_an_operator_sees_and_drives(robot):
+    robot.invite("olga", "operator")
+    with robot:
+        seen = robot.guest("olga")
+        assert seen["scans"] > 50
+        assert robot.commands() >= 15
+
+
+def test_whoever_has_no_invitation_or_one_of_another_robot_is_refused(robot, tmp_path, monkeypatch):
+    robot.invite("anna", "viewer")
+    monkeypatch.setenv("HALLWAY_KEYS", str(tmp_path / "stranger-owner"))
+    keys.make("robot", [ROBOT])
+    forged = keys.invite("robot", "anna", "operator", ROBOT)
+    monkeypatch.setenv("HALLWAY_KEYS", str(tmp_path / "stranger"))
+    keys.write_private(tmp_path / "forged.invitation", forged.to_bytes())
+    keys.pair(tmp_path / "forged.invitation")
+    with robot:
+        assert "cannot be reached" in robot.guest("stranger")["refused"]
+        for endpoint in (f"tcp/{ROBOT}:7448", f"tls/{ROBOT}:7448", f"tcp/{ROBOT}:7447"):
+            assert "cannot be reached" in robot.guest("anna", endpoint=endpoint)["refused"]
+        assert robot.commands() == 0
+
+
+def test_who_was_struck_off_the_list_sees_and_moves_nothing(robot, tmp_path, monkeypatch):
+    robot.invite("olga", "operator")
+    robot.invite("anna", "viewer")
+    monkeypatch.setenv("HALLWAY_KEYS", str(tmp_path / "owner"))
+    keys.revoke("robot", "olga")
+    with robot:
+        seen = robot.guest("olga")
+        assert (seen["scans"], seen["map_bytes"], seen["nodes"]) == (0, 0, [])
+        assert robot.guest("anna")["scans"] > 50
+        assert robot.commands() == 0
+
+
+def test_the_robot_listens_at_its_one_door_only(robot):
+    robot.invite("anna", "viewer")
+    with robot:
+        done = subprocess.run(
+            ["ip", "netns", "exec", robot.here, "cat", "/proc/net/tcp", "/proc/net/tcp6", "/proc/net/udp"],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        rows = [line.split() for line in done.stdout.splitlines() if not line.strip().startswith("sl")]
+        listening = [row[1] for row in rows if row[3] == "0A"]
+        assert [address.split(":")[1] for address in listening] == [f"{7448:04X}"]
+        assert "cannot be reached" not in robot.guest("anna")["refused"]

@@ -1,0 +1,108 @@
+"""Keys, guests and their list: what is secret stays readable for its owner alone."""
+
+import stat
+
+import pytest
+
+from runtime import gate, keys
+from runtime.cli import main
+from runtime.errors import ConfigError
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.setenv("HALLWAY_KEYS", str(tmp_path / "keys"))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_what_is_secret_is_readable_for_its_owner_alone(home):
+    made = keys.make("robot")
+    invitation = keys.invite("robot", "anna", "viewer", "10.0.0.1")
+    keys.write_private(home / "anna.invitation", invitation.to_bytes())
+    keys.pair(home / "anna.invitation")
+    secret = [
+        made.key,
+        made.folder / "ca.key",
+        home / "keys" / "paired" / "robot.json",
+        home / "anna.invitation",
+    ]
+    assert [stat.S_IMODE(path.stat().st_mode) for path in secret] == [0o600] * 4
+    assert stat.S_IMODE(made.folder.stat().st_mode) == 0o700
+
+
+def test_an_invitation_comes_back_as_it_was(home):
+    keys.make("robot")
+    invitation = keys.invite("robot", "anna", "operator", "10.0.0.1:9999")
+    file = home / "a.invitation"
+    keys.write_private(file, invitation.to_bytes())
+    assert keys.pair(file) == invitation == keys.paired("robot")
+    assert keys.paired("another") is None
+    assert (invitation.address, invitation.role) == ("10.0.0.1:9999", "operator")
+
+
+def test_keys_are_made_once(home):
+    keys.make("robot")
+    with pytest.raises(ConfigError, match="holds keys already"):
+        keys.make("robot")
+
+
+def test_without_keys_nobody_is_invited(home):
+    with pytest.raises(ConfigError, match="robot 'robot' has no keys yet; make them with: hallway keys make"):
+        keys.invite("robot", "anna", "viewer", "10.0.0.1")
+
+
+def test_a_guest_is_on_the_list_once_and_can_be_struck_off(home):
+    host = keys.make("robot")
+    keys.invite("robot", "anna", "viewer", "h")
+    with pytest.raises(ConfigError, match="guest 'anna' is on the list already, as viewer"):
+        keys.invite("robot", "anna", "operator", "h")
+    keys.revoke("robot", "anna")
+    assert host.roster() == {}
+    with pytest.raises(ConfigError, match="guest 'anna': not on the list; on it: nobody"):
+        keys.revoke("robot", "anna")
+
+
+@pytest.mark.parametrize("guest", ["", "Anna", "a b", "../x", "-x", "x" * 60])
+def test_a_guest_has_a_plain_name(home, guest):
+    keys.make("robot")
+    with pytest.raises(ConfigError, match="must be lower-case"):
+        keys.invite("robot", guest, "viewer", "h")
+
+
+@pytest.mark.parametrize(
+    "text", ["", "{}", "[]", '{"hallway": "invitation"}', '{"hallway": "invitation", "x": 1}']
+)
+def test_another_file_is_no_invitation(home, text):
+    (home / "x").write_text(text)
+    with pytest.raises(ConfigError, match="x: is no invitation of a robot"):
+        keys.Invitation.read(home / "x")
+
+
+def test_the_door_denies_what_no_rule_allows_and_names_each_guest(home):
+    host = keys.make("robot")
+    keys.invite("robot", "anna", "viewer", "h")
+    keys.invite("robot", "olga", "operator", "h")
+    door = gate.door(host, "robot", 7, "0.0.0.0:7448")
+    access = door["access_control"]
+    assert access["default_permission"] == "deny"
+    roles = {subject["id"]: subject.get("cert_common_names") for subject in access["subjects"]}
+    assert roles == {"local": None, "viewer": ["guest anna"], "operator": ["guest olga"]}
+    writes = {rule["id"]: rule["key_exprs"] for rule in access["rules"] if "put" in rule["messages"]}
+    assert writes["drive_in"] == ["7/robot/cmd_vel/**"]
+    allowed = {policy["subjects"][0]: policy["rules"] for policy in access["policies"]}
+    assert allowed["viewer"] == ["read_in", "read_out"]
+    assert host.key.read_text() not in str(door)
+
+
+def test_the_command_makes_invites_lists_revokes_and_pairs(home, capsys):
+    assert main(["keys", "make", "--host", "10.0.0.1"]) == 0
+    assert main(["keys", "invite", "anna", "--role", "operator", "--address", "10.0.0.1"]) == 0
+    assert main(["keys", "list"]) == 0
+    assert main(["keys", "pair", "anna.invitation"]) == 0
+    assert main(["keys", "revoke", "anna"]) == 0
+    out = capsys.readouterr().out
+    assert "anna                 operator" in out
+    assert "robot 'robot' at 10.0.0.1:7448: paired, as operator" in out
+    assert "PRIVATE KEY" not in out
+    assert main(["keys", "revoke", "anna"]) == 2
