@@ -45,21 +45,21 @@ class Link:
     def __init__(self, stream: Stream, decoder: Decoder, now_ns: Callable[[], int]) -> None:
         self.stream = stream
         self.decoder = decoder
-        self._now_ns = now_ns
+        self.now_ns = now_ns
         self.last_byte_ns = now_ns()
         self.heard_bytes = 0
         self._unprintable = 0
 
     def elapsed_s(self, since_ns: int) -> float:
         """Return the time since `since_ns`."""
-        return (self._now_ns() - since_ns) / 1e9
+        return (self.now_ns() - since_ns) / 1e9
 
     def listen(self) -> list[ScanReply | Reply]:
         """Wait a moment for bytes; return the replies they complete."""
         chunk = self.stream.read()
         if not chunk:
             return []
-        self.last_byte_ns = at_ns = self._now_ns()
+        self.last_byte_ns = at_ns = self.now_ns()
         self.heard_bytes += len(chunk)
         self._unprintable += sum(1 for byte in chunk if not (0x20 <= byte <= 0x7E or byte in b"\r\n"))
         return self.decoder.feed(chunk, at_ns)
@@ -76,7 +76,7 @@ class Link:
     def ask(self, request: bytes, within_s: float) -> Generator[None, None, Reply | None]:
         """Send a request; return the reply with its echo, None if none comes in time; drop all others."""
         self.stream.write(request + LF)
-        sent_ns = self._now_ns()
+        sent_ns = self.now_ns()
         while self.elapsed_s(sent_ns) < within_s:
             for reply in self.listen():
                 if isinstance(reply, Reply) and reply.echo == request:
@@ -86,7 +86,7 @@ class Link:
 
     def drain(self, silence_s: float, at_most_s: float) -> Waiting:
         """Drop what comes until it has been silent for a while; an endless stream is never silent."""
-        began_ns = self.last_byte_ns = self._now_ns()
+        began_ns = self.last_byte_ns = self.now_ns()
         while self.elapsed_s(self.last_byte_ns) < silence_s and self.elapsed_s(began_ns) < at_most_s:
             self.listen()
             yield None
