@@ -194,6 +194,28 @@ class Ancestry:
             self._free_count,
         )
 
+    def restart(self, trunk: Pose) -> None:
+        """Forget all lineages; let every particle descend from one path (K, 3)."""
+        particles = self.leaves.shape[0]
+        fresh = Ancestry(particles)
+        self.__dict__.update(fresh.__dict__)
+        length = trunk.shape[0]
+        self._grow(length)
+        if length == 0:
+            return
+        records = self._free[self._free_count[0] - length : self._free_count[0]][::-1].copy()
+        self._free_count[0] -= length
+        self.poses[records] = trunk
+        self.previous[records[1:]] = records[:-1]
+        self.nodes[self.leaves, 2] = records[-1]
+        if particles == 1:
+            self.nodes[0, 3] = records[0]
+            return
+        trunk_node = _take(self._free_nodes, self._free_node_count)
+        self.alive[trunk_node] = 1
+        self.nodes[trunk_node] = (NONE, particles, records[-1], records[0])
+        self.nodes[self.leaves, 0] = trunk_node
+
     def path(self, particle: int) -> Pose:
         """Return the poses (K, 3) of one lineage, oldest first."""
         return _walk(int(self.nodes[self.leaves[particle], 2]), self.previous, self.poses)

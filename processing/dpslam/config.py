@@ -1,6 +1,8 @@
 """Settings of the mapper; metres, radians. Nobody needs to change them to get a map."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
+
+from processing.dpslam.loops import LoopConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,12 +30,15 @@ class DpSlamConfig:
     range_max_m: float = 50.0
     """Readings farther away are left out of the maps, 1 .. 1000."""
 
+    close_loops: bool = True
+    """Whether the path is smoothed when the laser comes back to old ground."""
+    loops: LoopConfig = field(default_factory=LoopConfig)
+
     def __post_init__(self) -> None:
-        for field in fields(self):
-            low, high = _RANGES[field.name]
-            value = getattr(self, field.name)
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
             if not low <= value <= high:
-                raise ValueError(f"{field.name} = {value}, must be in [{low:g}, {high:g}]")
+                raise ValueError(f"{name} = {value}, must be in [{low:g}, {high:g}]")
 
 
 _RANGES = {

@@ -124,6 +124,20 @@ class TileStore:
             raise ValueError(f"parents[{moved}] = {parents[moved]}, a survivor must be its own parent")
         _resample(self.arrays, self.table, parents)
 
+    def clear(self) -> None:
+        """Empty the maps of all particles."""
+        owners, free, count = self.arrays[3:]
+        self.table[:] = NONE
+        owners[:] = 0
+        # Old numbers on top: memory that was used already is taken again before untouched memory is.
+        free[:] = np.arange(free.shape[0] - 1, -1, -1)
+        count[0] = free.shape[0]
+
+    def share(self, particle: int) -> None:
+        """Give the map of one particle to all others, whose maps must be empty."""
+        self.table[:] = self.table[particle]
+        self.arrays[3][self.table[particle][self.table[particle] != NONE]] = self.table.shape[0]
+
     def cover(self, low_m: NDArray[np.float64], high_m: NDArray[np.float64]) -> None:
         """Make the tables cover the rectangle from `low_m` to `high_m` (x, y), map frame."""
         first = np.floor(np.asarray(low_m) / TILE_M).astype(int) - 1

@@ -109,3 +109,57 @@ def write_all(
             return p
         write_rays(store, table, p, first_row, first_col, placed, memory, touched)
     return int(poses.shape[0])
+
+
+@njit(f"i8({_MAP}, f4[:,::1], i8[::1], f8[:,::1], f8, i8)", cache=True, nogil=True)
+def write_path(
+    store: Arrays,
+    table: Table,
+    first_row: int,
+    first_col: int,
+    rays: NDArray[np.float32],
+    ends: NDArray[np.int64],
+    path: NDArray[np.float64],
+    memory: float,
+    begin: int,
+) -> int:
+    """Write key scans from `begin` on into the map of particle 0, each from its pose on the path (K, 3).
+
+    Returns:
+        The key scan at which free tiles ran short, before anything of it was written; K when all are done.
+    """
+    longest = 0
+    for k in range(path.shape[0]):
+        longest = max(longest, ends[k + 1] - ends[k])
+    own, placed = np.empty((longest, 4)), np.empty((longest, 4))
+    touched = np.empty(table.shape[1] * table.shape[2] + 1, dtype=np.int32)
+    for k in range(begin, path.shape[0]):
+        count = ends[k + 1] - ends[k]
+        own[:count] = rays[ends[k] : ends[k + 1]]
+        place_rays(path[k], own[:count], placed[:count])
+        if store[5][0] < tiles_under(placed[:count]):
+            return k
+        write_rays(store, table, 0, first_row, first_col, placed[:count], memory, touched)
+    return int(path.shape[0])
+
+
+@njit("Tuple((f8[::1], f8[::1], i8))(f4[:,::1], i8[::1], f8[:,::1])", cache=True, nogil=True)
+def bounds(
+    rays: NDArray[np.float32], ends: NDArray[np.int64], path: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    """Return the corners of a box around all key scans, and the most tiles that one of them may touch."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    tiles = 1
+    for k in range(path.shape[0]):
+        count = ends[k + 1] - ends[k]
+        reach = 0.0
+        for i in range(ends[k], ends[k + 1]):
+            reach = max(reach, np.hypot(float(rays[i, 2]), float(rays[i, 3])))
+        own, placed = np.empty((count, 4)), np.empty((count, 4))
+        own[:] = rays[ends[k] : ends[k + 1]]
+        place_rays(path[k], own, placed)
+        tiles = max(tiles, tiles_under(placed))
+        for axis in range(2):
+            low[axis] = min(low[axis], path[k, axis] - reach)
+            high[axis] = max(high[axis], path[k, axis] + reach)
+    return low, high, tiles

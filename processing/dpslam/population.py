@@ -1,0 +1,159 @@
+"""The particles: their maps, paths, poses and weights, and what a key scan does to them."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing import se2
+from processing.dpslam import kernels
+from processing.dpslam.ancestry import Ancestry
+from processing.dpslam.config import DpSlamConfig
+from processing.dpslam.grid import TileStore
+from processing.dpslam.memory import KeyScans
+from processing.dpslam.proposal import Matrix, noise_root, priors
+from processing.dpslam.resampling import effective_size, normalise, systematic_parents
+from processing.dpslam.sweep import Sweep
+from processing.se2 import Pose
+
+GAIN = 0.3
+"""Weight of one point's NDT score against the prior: neighbouring points share their errors."""
+CHEAP_EVERY = 3
+"""The first scoring takes every third ray."""
+NEGLIGIBLE = 13.0
+"""Particles whose log weight is so far under the best after the cheap scoring are not scored in full."""
+
+
+class Population:
+    """P particles; random numbers depend on the seed and the number of the key scan alone."""
+
+    def __init__(self, config: DpSlamConfig, seed: int) -> None:
+        self.config = config
+        self.seed = seed
+        self.ancestry = Ancestry(config.particles)
+        self.store = TileStore(config.particles)
+        self.poses: Pose = np.zeros((config.particles, 3))
+        self.log_weights = np.full(config.particles, -np.log(config.particles))
+        self.best = 0
+        self.keys = 0
+
+    @property
+    def path(self) -> Pose:
+        """(K, 3) the best particle's poses at the key scans."""
+        return self.ancestry.path(self.best)
+
+    def update(self, sweep: Sweep, key_t_laser: Pose, covariance: Matrix) -> bool:
+        """Move, refine, weigh and select the particles; nothing is written yet.
+
+        Args:
+            sweep: The new key scan.
+            key_t_laser: (3,) motion since the last key scan.
+            covariance: (3, 3) of that motion, in the new laser frame.
+
+        Returns:
+            Whether there was a selection.
+        """
+        random = np.random.Generator(np.random.Philox(key=self.seed, counter=(0, 0, 0, self.keys)))
+        normal, uniform = random.standard_normal(self.poses.shape), float(random.random())
+        root = noise_root(covariance)
+        predicted = np.ascontiguousarray(se2.compose(se2.compose(self.poses, key_t_laser), normal @ root.T))
+        self._refine(sweep, predicted, root)
+        self._weigh(sweep)
+        self.best = int(np.argmax(self.log_weights))
+        self.ancestry.extend(self.poses)
+        if effective_size(self.log_weights) >= self.config.particles / 2:
+            return False
+        self._select(systematic_parents(self.log_weights, uniform))
+        return True
+
+    def write(self, rays: NDArray[np.float64]) -> None:
+        """Write a key scan's rays (N, 4) into the map of each particle."""
+        if self.keys == 0:
+            self.ancestry.extend(self.poses)
+        self.keys += 1
+        if len(rays) == 0:
+            return
+        reach = float(np.hypot(rays[:, 2], rays[:, 3]).max())
+        self.store.cover(self.poses[:, :2].min(axis=0) - reach, self.poses[:, :2].max(axis=0) + reach)
+        done = 0
+        while True:
+            done = kernels.write_all(*self._maps(), rays, self.poses, self.config.memory, done)
+            if done == len(self.poses):
+                return
+            placed = np.empty_like(rays)
+            kernels.place_rays(self.poses[done], rays, placed)
+            self.store.reserve(kernels.tiles_under(placed))
+
+    def relive(self, path: Pose, scans: KeyScans) -> None:
+        """Give the whole population one path, and maps drawn anew along it.
+
+        The move step of a resample-move particle filter. Each particle keeps its offset from the best one as its
+        place around the end of the path, and its weight.
+
+        Args:
+            path: (K, 3) poses of all key scans so far, all of them written.
+            scans: Their rays.
+
+        Raises:
+            ValueError: path and key scans are not as many as were written.
+        """
+        if not len(path) == len(scans) == self.keys:
+            raise ValueError(f"path of {len(path)} poses and {len(scans)} scans, must be {self.keys} both")
+        offsets = se2.between(self.poses[self.best], self.poses)
+        self.poses = np.ascontiguousarray(se2.compose(path[-1], offsets))
+        self.ancestry.restart(np.ascontiguousarray(path[:-1]))
+        self.ancestry.extend(self.poses)
+        self.store.clear()
+        path = np.ascontiguousarray(path)
+        low, high, tiles = kernels.bounds(scans.rays, scans.ends, path)
+        self.store.cover(low, high)
+        done = 0
+        while done < self.keys:
+            self.store.reserve(tiles)
+            done = kernels.write_path(*self._maps(), scans.rays, scans.ends, path, self.config.memory, done)
+        self.store.share(0)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return everything as arrays; `restore` takes it back."""
+        parts = {f"store.{k}": v for k, v in self.store.state().items()}
+        parts |= {f"ancestry.{k}": v for k, v in self.ancestry.state().items()}
+        counts = np.array((self.seed, self.best, self.keys))
+        return parts | {"poses": self.poses.copy(), "log_weights": self.log_weights.copy(), "counts": counts}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Become the population whose `state` was taken."""
+        self.store.restore({k[6:]: v for k, v in state.items() if k.startswith("store.")})
+        self.ancestry.restore({k[9:]: v for k, v in state.items() if k.startswith("ancestry.")})
+        self.poses, self.log_weights = state["poses"].copy(), state["log_weights"].copy()
+        self.seed, self.best, self.keys = (int(v) for v in state["counts"])
+
+    def _maps(self) -> tuple[Any, ...]:
+        e = self.store.extent
+        return self.store.arrays, self.store.table, e.first_row, e.first_col
+
+    def _refine(self, sweep: Sweep, predicted: Pose, root: Matrix) -> None:
+        c = self.config
+        ties = priors(root, c.prior_m, c.prior_rad, predicted[:, 2])
+        information, results = np.empty((c.particles, 3, 3)), np.empty((c.particles, 2))
+        poses = np.empty_like(predicted)
+        kernels.refine_all(*self._maps(), sweep.points, predicted, ties, GAIN, poses, information, results)
+        self.poses = poses
+
+    def _weigh(self, sweep: Sweep) -> None:
+        c = self.config
+        rays = sweep.rays[:: max(1, len(sweep.rays) // c.rays)].copy()
+        chosen = np.ones(c.particles, dtype=np.uint8)
+        cheap, full = np.zeros(c.particles), np.zeros(c.particles)
+        kernels.weigh_all(*self._maps(), rays, self.poses, CHEAP_EVERY, False, chosen, cheap)
+        estimate = self.log_weights + c.tempering * CHEAP_EVERY * cheap
+        chosen = (estimate >= estimate.max() - NEGLIGIBLE).astype(np.uint8)
+        kernels.weigh_all(*self._maps(), rays, self.poses, 1, True, chosen, full)
+        survivors = self.log_weights + c.tempering * full
+        self.log_weights = normalise(np.where(chosen, survivors, -1e300))
+
+    def _select(self, parents: NDArray[np.int32]) -> None:
+        self.best = int(np.flatnonzero(parents == self.best)[0])
+        self.ancestry.resample(parents)
+        self.store.resample(parents)
+        self.poses = self.poses[parents]
+        self.log_weights = np.full(len(parents), -np.log(len(parents)))
