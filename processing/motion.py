@@ -1,11 +1,11 @@
-"""What the scan matcher tells the mapper: where the laser went since the last scan, and how well that is known."""
+"""What the matcher tells the mapper: where the laser went since the last scan, and how well that is known."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.se2 import Pose
+from processing.se2 import Pose, between
 
 UNKNOWN_VARIANCE = 1e6
 """Variance (m^2, rad^2) of a motion of which nothing is known; the sign of a lost track."""
@@ -28,3 +28,31 @@ class Motion:
     def lost(self) -> bool:
         """Whether the matcher could not tell where the laser went."""
         return bool(self.covariance[2, 2] >= UNKNOWN_VARIANCE)
+
+
+def following(first: Motion, second: Motion) -> Motion:
+    """Return the second motion as it is seen when the scan of the first is left out."""
+    old_t_new = between(first.odom_t_laser, second.odom_t_laser)
+    return Motion(
+        stamp_ns=second.stamp_ns,
+        odom_t_laser=second.odom_t_laser,
+        covariance=carried(first.covariance, old_t_new) + second.covariance,
+        twist=second.twist,
+    )
+
+
+def carried(covariance: NDArray[np.float64], old_t_new: Pose) -> NDArray[np.float64]:
+    """Express the covariance (3, 3) of a pose, given in its own frame, after a further motion.
+
+    Args:
+        covariance: Of the error of the old pose, in the old frame.
+        old_t_new: The motion, taken as exact.
+
+    Returns:
+        (3, 3) of the error that it causes in the new pose, in the new frame.
+    """
+    x, y, yaw = old_t_new
+    c, s = np.cos(yaw), np.sin(yaw)
+    # A turn of the old frame swings the new one sideways.
+    jacobian = np.array(((c, s, s * x - c * y), (-s, c, c * x + s * y), (0.0, 0.0, 1.0)))
+    return np.asarray(jacobian @ covariance @ jacobian.T)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.dpslam.settled import SettledMap
+from processing.motion import carried
 from processing.ndt import Points
 from processing.se2 import Pose, between, compose, transform, wrap
 from processing.smoothing import Relations, smooth
@@ -128,7 +129,7 @@ class Loops:
         self.covariances.append(self._with_drift(covariance, motion, step_m))
         if first:
             return None
-        self._drift = _carried(self._drift, motion) + self.covariances[-1]
+        self._drift = carried(self._drift, motion) + self.covariances[-1]
         self._settle()
         if self.linked:
             self._place()
@@ -307,12 +308,3 @@ def _in_map(covariance: Matrix, yaw_rad: float) -> Matrix:
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     turn = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
     return np.asarray(turn @ covariance @ turn.T)
-
-
-def _carried(covariance: Matrix, old_t_new: Pose) -> Matrix:
-    """Express the covariance of a pose, given in its old frame, in its new frame after a further motion."""
-    c, s = np.cos(old_t_new[2]), np.sin(old_t_new[2])
-    turn = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
-    lever = np.array(((1.0, 0.0, -old_t_new[1]), (0.0, 1.0, old_t_new[0]), (0.0, 0.0, 1.0)))
-    jacobian = turn @ lever
-    return np.asarray(jacobian @ covariance @ jacobian.T)

@@ -1,0 +1,252 @@
+"""Mapper process: scans and motions in, pose and map out. All thinking is in `processing.dpslam`.
+
+A scan and its motion belong together by their stamp. Motions wait in order, and nothing is dropped while the
+mapper keeps up; where it does not, whole scans are left out, newest first to be served, and counted.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from processing import se2
+from processing.dpslam.config import DpSlamConfig
+from processing.dpslam.filter import DpSlam, MapStep
+from processing.motion import Motion, following
+from processing.odometry import LaserOdometry, OdometryConfig
+from processing.scan import Scan
+from runtime import messages
+from runtime.formats.map_server import GridMap
+from runtime.messages import BadMessageError
+from runtime.nodes.convert import (
+    motion_from_message,
+    pose_to_message,
+    scan_from_message,
+    transform_to_message,
+)
+from runtime.nodes.matcher import rehearsal
+from runtime.port import Port, Subscription
+from runtime.results import RunResult, provenance, save
+
+SUBSCRIBES: tuple[str, ...] = ("scan", "odom")
+PUBLISHES: tuple[str, ...] = ("pose", "map", "particles", "trajectory", "tf")
+
+_WAIT_S = 0.1
+_SCAN_WAIT_S = 0.05
+KEEP_SCANS = 64
+"""As many scans as motions may wait, so that each motion still finds its scan."""
+LATE_SCANS = 20
+"""Motions waiting from which on scans are left out: two seconds behind the laser."""
+PATH_POSES = 2000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Config:
+    """The mapper; nothing of it has to be set to get a map."""
+
+    mapping: DpSlamConfig = field(default_factory=DpSlamConfig)
+    map_period_s: float = 1.0
+    """The map is published so often at most, and only when it has changed."""
+
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.map_period_s <= 60.0:
+            raise ValueError(f"map_period_s = {self.map_period_s}, must be in [0.1, 60]")
+
+
+def run(port: Port, config: Config) -> int:
+    """Work scan by scan until the port stops; then write the results."""
+    warm_up(config.mapping)
+    mapper = _Mapper(port, config)
+    scans = port.subscribe("scan", keep=KEEP_SCANS)
+    motions = port.subscribe("odom")
+    pairs = Pairs(port, scans, motions)
+    port.ready()
+    while not port.stopping:
+        pair = pairs.next()
+        if pair is not None:
+            mapper.take(*pair)
+        mapper.tell()
+    mapper.save()
+    return 0
+
+
+class Pairs:
+    """Brings scans and motions of one stamp together, in the order of the motions."""
+
+    def __init__(self, port: Port, scans: Subscription, motions: Subscription) -> None:
+        self._port, self._scans, self._motions = port, scans, motions
+        self._waiting: dict[int, Scan] = {}
+        self._left_out: Motion | None = None
+        self._queue: list[Motion] = []
+
+    def next(self) -> tuple[Scan, Motion] | None:
+        """Return the next scan with its motion; None if there is none within a tenth of a second."""
+        motion = self._next_motion()
+        if motion is None:
+            return None
+        if len(self._queue) >= LATE_SCANS:
+            self._port.count("scans_too_late")
+            self._leave_out(motion)
+            return None
+        scan = self._scan_of(motion.stamp_ns)
+        if scan is None:
+            self._port.count("motions_without_scan")
+            self._leave_out(motion)
+            return None
+        if self._left_out is not None:
+            motion, self._left_out = following(self._left_out, motion), None
+        return scan, motion
+
+    def _leave_out(self, motion: Motion) -> None:
+        self._left_out = motion if self._left_out is None else following(self._left_out, motion)
+
+    def _next_motion(self) -> Motion | None:
+        if not self._queue:
+            received = self._motions.wait(_WAIT_S)
+            if received is None:
+                return None
+            self._queue.append(motion_from_message(received.message))
+        self._queue += [motion_from_message(more.message) for more in self._motions.drain()]
+        return self._queue.pop(0)
+
+    def _scan_of(self, stamp_ns: int) -> Scan | None:
+        for received in self._scans.drain():
+            self._keep(received.message)
+        while stamp_ns not in self._waiting:
+            arrival = self._scans.wait(_SCAN_WAIT_S)
+            if arrival is None:
+                return None
+            self._keep(arrival.message)
+        scan = self._waiting.pop(stamp_ns)
+        for older in [stamp for stamp in self._waiting if stamp < stamp_ns]:
+            del self._waiting[older]
+        return scan
+
+    def _keep(self, message: Any) -> None:
+        try:
+            scan = scan_from_message(message)
+        except BadMessageError:
+            self._port.count("refused_scans")
+            return
+        self._waiting[scan.stamp_ns] = scan
+        while len(self._waiting) > KEEP_SCANS:
+            del self._waiting[next(iter(self._waiting))]
+
+
+class _Mapper:
+    """What is between the filter and the port."""
+
+    def __init__(self, port: Port, config: Config) -> None:
+        self._port, self._config = port, config
+        self._filter = DpSlam(config.mapping, port.seed)
+        self._odometry: list[se2.Pose] = []
+        self._stamp_ns = 0
+        self._changed = False
+        self._mapped_ns = 0
+
+    def take(self, scan: Scan, motion: Motion) -> None:
+        """Work one scan in and say where the laser is."""
+        try:
+            step = self._filter.step(scan, motion)
+        except ValueError as error:
+            self._port.count("refused_scans")
+            self._port.report("error", f"scan refused: {error}")
+            return
+        self._odometry.append(motion.odom_t_laser)
+        self._stamp_ns = scan.stamp_ns
+        self._changed = self._changed or step.updated
+        self._publish(step, motion)
+
+    def _publish(self, step: MapStep, motion: Motion) -> None:
+        port, stamp_ns = self._port, motion.stamp_ns
+        spread = _spread(step)
+        pose = messages.PoseWithCovariance(pose=pose_to_message(step.map_t_laser), covariance=spread)
+        header = messages.header(stamp_ns, "map")
+        port.publish("pose", messages.PoseWithCovarianceStamped(header=header, pose=pose))
+        map_t_odom = se2.compose(step.map_t_laser, se2.invert(motion.odom_t_laser))
+        placed = transform_to_message(stamp_ns, "map", "odom", map_t_odom)
+        port.publish("tf", messages.TFMessage(transforms=[placed]))
+        if step.updated:
+            poses = [pose_to_message(particle) for particle in step.particles]
+            port.publish("particles", messages.PoseArray(header=header, poses=poses))
+        port.report(
+            "ok",
+            "mapping",
+            particles=len(step.particles),
+            n_eff=round(step.n_eff, 1),
+            scans=len(self._odometry),
+        )
+
+    def tell(self) -> None:
+        """Publish map and trajectory, if they changed and it is time."""
+        now_ns = self._port.clock.now_ns()
+        if not self._changed or now_ns - self._mapped_ns < self._config.map_period_s * 1e9:
+            return
+        self._changed, self._mapped_ns = False, now_ns
+        header = messages.header(self._stamp_ns, "map")
+        grid = self._filter.occupancy()
+        rows, cols = grid.probability.shape
+        info = messages.MapMetaData(
+            map_load_time=header.stamp,
+            resolution=grid.resolution_m,
+            width=cols,
+            height=rows,
+            origin=pose_to_message(np.array((*grid.origin_m, 0.0))),
+        )
+        self._port.publish(
+            "map", messages.OccupancyGrid(header=header, info=info, data=grid.percent().reshape(-1))
+        )
+        stamps_ns, path = self._filter.trajectory()
+        every = max(1, len(path) // PATH_POSES)
+        poses = [
+            messages.PoseStamped(header=messages.header(int(stamp), "map"), pose=pose_to_message(pose))
+            for stamp, pose in zip(stamps_ns[::every], path[::every], strict=True)
+        ]
+        self._port.publish("trajectory", messages.Path(header=header, poses=poses))
+
+    def save(self) -> None:
+        """Write the results folder of this run, if anybody wants one and there is something in it."""
+        if self._port.results_dir is None or not self._odometry:
+            return
+        stamps_ns, trajectory = self._filter.trajectory()
+        occupancy = self._filter.occupancy()
+        steps = np.diff(trajectory[:, :2], axis=0)
+        grid = GridMap(occupancy.probability, occupancy.resolution_m, occupancy.origin_m)
+        known = np.count_nonzero(~np.isnan(grid.probability)) * grid.resolution_m**2
+        result = RunResult(
+            config=self._config,
+            stamps_ns=np.asarray(stamps_ns, dtype=np.int64),
+            trajectory=trajectory,
+            odometry=np.array(self._odometry),
+            grid=grid,
+            path_m=trajectory[:, :2],
+            metrics={
+                "scans": len(trajectory),
+                "way_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
+                "known_m2": float(known),
+                "resolution_m": grid.resolution_m,
+            },
+            run=provenance(self._port.seed) | {"frame": "laser"},
+            caption=f"{self._port.robot}, {len(trajectory)} scans, laser alone",
+        )
+        save(self._port.results_dir, result)
+
+
+def _spread(step: MapStep) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return the covariance (36,) of the particles about the best one, map axes, as ROS lays it out."""
+    last = step.particles[int(np.argmax(step.weights))]
+    off = step.particles - last
+    off[:, 2] = se2.wrap(off[:, 2])
+    planar = (off * step.weights[:, None]).T @ off
+    full = np.zeros((6, 6))
+    full[np.ix_((0, 1, 5), (0, 1, 5))] = planar
+    return full.ravel()
+
+
+def warm_up(config: DpSlamConfig) -> None:
+    """Run every compiled loop once, so that the robot's first scan is not the one that waits."""
+    odometry, mapper = LaserOdometry(OdometryConfig(), 0), DpSlam(config, 0)
+    for scan in rehearsal(4):
+        mapper.step(scan, odometry.step(scan).motion)
+    mapper.trajectory()
+    mapper.occupancy()

@@ -1,0 +1,127 @@
+"""Matcher process: scans in, laser odometry out. All thinking is in `processing.odometry`."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.odometry import LaserOdometry, Match, OdometryConfig, Tracking
+from processing.scan import Beams, Scan
+from runtime import messages
+from runtime.messages import BadMessageError
+from runtime.nodes.convert import motion_to_message, scan_from_message, transform_to_message
+from runtime.port import Level, Port
+
+SUBSCRIBES: tuple[str, ...] = ("scan",)
+PUBLISHES: tuple[str, ...] = ("odom", "match_points", "tf")
+
+_WAIT_S = 0.1
+_LEVELS: dict[Tracking, Level] = {
+    Tracking.TRACKING: "ok",
+    Tracking.DEGENERATE: "warn",
+    Tracking.LOST: "error",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Config:
+    """The laser odometry; nothing of it has to be set to get a map."""
+
+    odometry: OdometryConfig = field(default_factory=OdometryConfig)
+
+
+def run(port: Port, config: Config) -> int:
+    """Answer every scan with a motion until the port stops."""
+    warm_up(config.odometry)
+    odometry = LaserOdometry(config.odometry, port.seed)
+    scans = port.subscribe("scan")
+    port.ready()
+    while not port.stopping:
+        received = scans.wait(_WAIT_S)
+        if received is None:
+            continue
+        try:
+            scan = scan_from_message(received.message)
+            match = odometry.step(scan)
+        except (BadMessageError, ValueError) as error:
+            port.count("refused_scans")
+            port.report("error", f"scan refused: {error}")
+            continue
+        publish(port, match)
+    return 0
+
+
+def publish(port: Port, match: Match) -> None:
+    """Send the motion, the points that it rests on, and how far it is to be believed."""
+    motion = match.motion
+    port.publish("odom", motion_to_message(motion))
+    port.publish("match_points", cloud(motion.stamp_ns, match.points_laser))
+    placed = transform_to_message(motion.stamp_ns, "odom", "laser", motion.odom_t_laser)
+    port.publish("tf", messages.TFMessage(transforms=[placed]))
+    state = match.state.name
+    if match.blind_rad is not None:
+        state += f" ({np.degrees(match.blind_rad):.0f} deg)"
+    port.report(
+        _LEVELS[match.state],
+        _words(match),
+        state=state,
+        score=round(match.score, 3),
+        points=len(match.points_laser),
+    )
+
+
+def _words(match: Match) -> str:
+    if match.state is Tracking.LOST:
+        return "lost: the scan fits nowhere near; hold the laser still, or bring it back to where it was"
+    if match.state is Tracking.DEGENERATE:
+        return "one direction is not seen; the motion goes on as it was along it"
+    return "tracking"
+
+
+def cloud(stamp_ns: int, points_laser: NDArray[np.float64]) -> messages.PointCloud2:
+    """Return the points (N, 2) as a PointCloud2 of x, y, z in single precision."""
+    points = np.zeros((len(points_laser), 3), dtype=np.float32)
+    points[:, :2] = points_laser
+    real = 7  # PointField.FLOAT32
+    fields = [
+        messages.PointField(name=name, offset=4 * k, datatype=real, count=1) for k, name in enumerate("xyz")
+    ]
+    return messages.PointCloud2(
+        header=messages.header(stamp_ns, "laser"),
+        height=1,
+        width=len(points),
+        fields=fields,
+        is_bigendian=False,
+        point_step=12,
+        row_step=12 * len(points),
+        data=points.view(np.uint8).reshape(-1),
+        is_dense=True,
+    )
+
+
+def warm_up(config: OdometryConfig) -> None:
+    """Run every compiled loop once, so that the robot's first scan is not the one that waits."""
+    odometry = LaserOdometry(config, 0)
+    for scan in rehearsal(4):
+        odometry.step(scan)
+
+
+def rehearsal(count: int) -> list[Scan]:
+    """Return scans of a small room as a URG-04LX would see it while it drives through."""
+    beams = Beams(
+        count=682,
+        angle_min_rad=-2.0862,
+        angle_increment_rad=2 * np.pi / 1024,
+        time_increment_s=0.1 / 1024,
+        range_max_m=5.6,
+    )
+    c, s = np.cos(beams.bearings()), np.sin(beams.bearings())
+    scans = []
+    for k in range(count):
+        x, y = -1.0 + 0.3 * k, 0.2
+        with np.errstate(divide="ignore"):
+            across = np.where(c > 0, (2.0 - x) / c, (-2.0 - x) / c)
+            along = np.where(s > 0, (1.5 - y) / s, (-1.5 - y) / s)
+        ranges = np.minimum(across, along).astype(np.float32)
+        scans.append(Scan(1_000_000_000 + 100_000_000 * k, ranges, beams))
+    return scans
