@@ -86,15 +86,15 @@ def _drain(
     recording: Recording,
     channels: dict[tuple[str, bytes], McapChannel],
 ) -> None:
-    for name, subscription in subscriptions.items():
-        for received in subscription.drain():
-            key = (name, received.gid)
-            channel = channels.get(key)
-            if channel is None:
-                channel = channels[key] = _channel(port, received)
-            recording.add(
-                channel, received.sequence, received.received_ns, received.published_ns, received.payload
-            )
+    arrived = [one for subscription in subscriptions.values() for one in subscription.drain()]
+    for received in sorted(arrived, key=lambda one: one.received_ns):
+        key = (received.topic, received.gid)
+        channel = channels.get(key)
+        if channel is None:
+            channel = channels[key] = _channel(port, received)
+        recording.add(
+            channel, received.sequence, received.received_ns, received.published_ns, received.payload
+        )
     lost = {n: s.missed + s.overwritten for n, s in subscriptions.items() if s.missed + s.overwritten}
     recording.tick(port.clock.now_ns(), lost)
 

@@ -1,0 +1,226 @@
+"""Play a recording onto the bus, as a robot of its own, at its own pace or another."""
+
+import argparse
+import json
+import os
+import re
+import select
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from runtime.errors import ConfigError, DataLostError
+
+if TYPE_CHECKING:
+    from runtime.bus import Bus
+    from runtime.replay import Control, Played, Recorded, ReplayConfig
+
+HELP = "space pause or go, s one message, + faster, - slower, q end"
+_NAME = re.compile(r"[a-z][a-z0-9_]*\Z")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments; heavy imports wait until `run`."""
+    parser.add_argument("files", type=Path, nargs="+", metavar="FILE", help="MCAP recording, or its parts")
+    parser.add_argument("--rate", type=float, default=1.0, help="times the speed; 0 as fast as it goes")
+    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="leave out the first S seconds")
+    parser.add_argument("--duration", type=float, default=0.0, metavar="S", help="play S recorded seconds")
+    parser.add_argument("--loop", action="store_true", help="begin again at the end")
+    parser.add_argument(
+        "--topics", nargs="+", default=[], metavar="T", help="which topics (default all but cmd_vel)"
+    )
+    parser.add_argument("--as", dest="robot", metavar="NAME", help="name of the robot (default as recorded)")
+    parser.add_argument("--wait", action="store_true", help="begin when somebody listens")
+    parser.add_argument("--paused", action="store_true", help=f"start paused; keys: {HELP}")
+    parser.add_argument(
+        "--map", action="store_true", help="through the live matcher and mapper, to a results folder"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="results folder of --map")
+    parser.add_argument("--json", action="store_true", help="machine-readable, one object at the end")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Play; 0 at the end, 130 after Ctrl-C or q, 4 when scans were lost in the recording or on the way."""
+    from runtime.replay import Recorded, ReplayConfig
+
+    try:
+        config = ReplayConfig(
+            rate=args.rate,
+            start_s=args.start,
+            duration_s=args.duration,
+            loop=args.loop,
+            topics=tuple(name.strip("/") for name in args.topics),
+        )
+    except ValueError as error:
+        raise ConfigError(f"hallway replay: {error}") from error
+    if args.map:
+        from runtime.cli.replay_map import map_live
+
+        return map_live(args, config)
+    if args.out is not None:
+        raise ConfigError("--out: only with --map")
+    recorded = Recorded(args.files, config)
+    robot = args.robot or recorded.metadata.get("hallway", {}).get("robot", "robot")
+    if not _NAME.match(robot):
+        raise ConfigError(f"--as {robot!r}: must be lower-case letters, digits and underscores")
+    if not args.json:
+        said = ", ".join(recorded.played)
+        print(f"{recorded.duration_s:.1f} s of {said} as robot {robot!r}", file=sys.stderr)
+    with ExitStack() as stack:
+        bus = stack.enter_context(_bus(robot, recorded))
+        played = _play(bus, robot, recorded, config, args)
+    return _report(played, recorded, args)
+
+
+@contextmanager
+def _bus(robot: str, recorded: "Recorded") -> "Iterator[Bus]":
+    """Open the bus of a robot of that name: join the one that runs, or be its hub."""
+    from runtime import links, messages, rundir
+    from runtime.bus_zenoh import ZenohBus
+
+    if not rundir.is_running(robot):
+        with rundir.claimed(robot) as run_dir, ZenohBus(links.hub(run_dir)) as bus:
+            yield bus
+        return
+    with ZenohBus(links.visitor(rundir.running(robot))) as bus:
+        endpoints = messages.endpoints_of(bus.tokens("@ros2_lv/*/**"))
+        spoken = {e.topic.strip("/") for e in endpoints if e.kind == "MP"}
+        for name in recorded.played:
+            if f"{robot}/{name}" in spoken:
+                rule = f"robot {robot!r} runs and publishes {name} itself"
+                raise ConfigError(f"{rule}; play as another with --as, or fewer --topics")
+        yield bus
+
+
+def _play(
+    bus: "Bus", robot: str, recorded: "Recorded", config: "ReplayConfig", args: argparse.Namespace
+) -> "Played":
+    import signal
+
+    from runtime.messages import Clock, time_of
+    from runtime.node import BusPort
+    from runtime.replay import Control, play
+
+    name = f"player_{os.getpid()}"
+    port = BusPort(name, lambda: bus, publishes=(*recorded.played, "clock"), robot=robot)
+    control = Control(paused=args.paused, stopping=lambda: port.stopping)
+    screen = _Screen(recorded, control, args.json)
+
+    def publish_clock(now_ns: int) -> None:
+        port.publish("clock", Clock(clock=time_of(now_ns)))
+        screen.show(now_ns)
+
+    def sleep(seconds: float) -> None:
+        if not keys.poll(control, seconds):
+            port.stop()
+
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda *_: port.stop()) for number in numbers}
+    try:
+        with _Keys() as keys, port:
+            port.ready()
+            if args.wait:
+                _wait_for_listener(bus, robot, recorded, port)
+            return play(recorded, config, control, port.publish_raw, publish_clock, sleep=sleep)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _wait_for_listener(bus: "Bus", robot: str, recorded: "Recorded", port: Any) -> None:
+    from runtime import messages
+
+    wanted = {f"{robot}/{name}" for name in recorded.played}
+    while not port.stopping:
+        endpoints = messages.endpoints_of(bus.tokens("@ros2_lv/*/**"))
+        if wanted & {e.topic.strip("/") for e in endpoints if e.kind == "MS"}:
+            return
+        time.sleep(0.1)
+
+
+def _report(played: "Played", recorded: "Recorded", args: argparse.Namespace) -> int:
+    late_ms = played.worst_late_ns / 1e6
+    report = {"sent": played.messages, "worst_late_ms": round(late_ms, 3), "losses": recorded.losses}
+    if args.json:
+        print(json.dumps(report))
+    else:
+        sent = ", ".join(f"{count} {name}" for name, count in played.messages.items()) or "nothing"
+        print(f"sent {sent}; at most {late_ms:.1f} ms late")
+        for loss in recorded.losses:
+            print(f"hallway replay: {loss}", file=sys.stderr)
+    if not played.complete:
+        return 130
+    return int(DataLostError.exit_code) if recorded.losses else 0
+
+
+class _Keys:
+    """Single keys from the terminal, where there is one; waiting for a key is the pause between messages."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else None
+        self._before: Any = None
+
+    def __enter__(self) -> "_Keys":
+        if self._terminal is not None:
+            import termios
+            import tty
+
+            self._before = termios.tcgetattr(self._terminal)
+            tty.setcbreak(self._terminal)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._terminal is not None:
+            import termios
+
+            termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._before)
+
+    def poll(self, control: "Control", seconds: float) -> bool:
+        """Wait so long at most, obey the keys that came; False for the key that ends."""
+        if self._terminal is None:
+            time.sleep(seconds)
+            return True
+        if not select.select([self._terminal], [], [], seconds)[0]:
+            return True
+        return all(obey(key, control) for key in os.read(self._terminal, 64).decode(errors="ignore"))
+
+
+def obey(key: str, control: "Control") -> bool:
+    """Do what a key means; False for the key that ends."""
+    if key == " ":
+        control.paused = not control.paused
+    elif key == "s":
+        control.paused = True
+        control.steps += 1
+    elif key in "+=":
+        control.rate = min(control.rate * 2, 100.0)
+    elif key == "-":
+        control.rate = max(control.rate / 2, 0.01) if control.rate else 0.0
+    return key != "q"
+
+
+class _Screen:
+    """One line that says where the recording is."""
+
+    def __init__(self, recorded: "Recorded", control: "Control", quiet: bool) -> None:
+        self._recorded, self._control = recorded, control
+        self._terminal = sys.stderr.isatty()
+        self._quiet = quiet
+        self._said_s = 0.0
+        if self._terminal and not quiet:
+            print(HELP, file=sys.stderr)
+
+    def show(self, now_ns: int) -> None:
+        """Say the recorded time."""
+        now_s = time.monotonic()
+        if self._quiet or now_s - self._said_s < (0.2 if self._terminal else 5.0):
+            return
+        self._said_s = now_s
+        at_s = (now_ns - self._recorded.began_ns) / 1e9
+        state = "paused" if self._control.paused else f"{self._control.rate:g} x"
+        text = f"{at_s:8.1f} of {self._recorded.duration_s:.1f} s, {state}"
+        print(f"\r\x1b[K{text}" if self._terminal else text, end="" if self._terminal else "\n",
+              file=sys.stderr, flush=True)  # fmt: skip

@@ -1,0 +1,129 @@
+"""Replay and record as people run them: two commands, a real bus, and the same bytes at both ends."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from runtime.cli import main
+from runtime.formats.mcap_log import McapChannel, McapReader, McapWriter
+from runtime.messages import LaserScan, encode, header
+
+ROOT = Path(__file__).resolve().parents[2]
+S = 10**9
+SCAN = McapChannel("/robot/scan", "sensor_msgs/msg/LaserScan", {"gid": "aa" * 16})
+COMMAND = McapChannel("/robot/cmd_vel", "geometry_msgs/msg/TwistStamped", {"gid": "bb" * 16})
+
+
+def payload(n):
+    ranges = np.random.default_rng(n).uniform(0.1, 5, 682).astype(np.float32)
+    head = header(1_700_000_000 * S + n * S // 10, "laser")
+    return encode(LaserScan(head, -2.0, 2.0, 0.006, 0.0, 0.1, 0.02, 5.6, ranges, np.zeros(0, np.float32)))
+
+
+@pytest.fixture
+def recording(tmp_path):
+    writer = McapWriter(tmp_path / "run.mcap", {"hallway": {"robot": "robot"}})
+    for n in range(1, 41):
+        at_ns = 1_700_000_000 * S + n * S // 20
+        writer.add(SCAN, n, at_ns, at_ns, payload(n))
+        writer.add(COMMAND, n, at_ns, at_ns, b"\x00\x01\x00\x00")
+    writer.finish()
+    return tmp_path / "run.mcap"
+
+
+@pytest.fixture
+def desk(tmp_path):
+    """Starts commands that share a run directory of their own, and ends those that a failed test leaves."""
+    started = []
+    environment = {**os.environ, "HALLWAY_RUN": str(tmp_path / "run"), "PYTHONPATH": str(ROOT)}
+
+    def start(*arguments):
+        command = [sys.executable, "-m", "runtime.cli", *map(str, arguments)]
+        pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        child = subprocess.Popen(command, cwd=tmp_path, env=environment, text=True, **pipes)
+        started.append(child)
+        return child
+
+    yield start
+    for child in started:
+        if child.poll() is None:
+            child.kill()
+            child.communicate()
+
+
+def test_what_is_replayed_is_recorded_byte_for_byte(desk, recording, tmp_path):
+    player = desk("replay", recording, "--as", "ghost", "--wait", "--json")
+    hub = tmp_path / "run" / "ghost" / "hub.sock"
+    _wait(lambda: hub.exists() or player.poll() is not None)
+    recorder = desk("record", "--robot", "ghost", "--out", tmp_path / "copy.mcap", "--json")
+    played, told = player.communicate(timeout=60)
+    assert player.returncode == 0, told
+    recorded, told = recorder.communicate(timeout=30)
+    assert recorder.returncode == 0, told
+    assert json.loads(played)["sent"] == {"scan": 40}
+    assert json.loads(recorded)["lost"] == 0
+    messages = list(McapReader(tmp_path / "copy.mcap").messages())
+    scans = [m for m in messages if m.channel.topic == "/ghost/scan"]
+    assert [m.payload for m in scans] == [payload(n) for n in range(1, 41)]
+    arrivals = np.array([m.log_ns for m in scans]) / 1e9
+    assert arrivals[-1] - arrivals[0] == pytest.approx(39 * 0.05, abs=0.5)
+    assert not any(m.channel.name == "cmd_vel" for m in messages)
+
+
+def test_a_robot_that_speaks_itself_is_not_played_over(desk, recording, tmp_path):
+    first = desk("replay", recording, "--as", "ghost", "--wait")
+    hub = tmp_path / "run" / "ghost" / "hub.sock"
+    _wait(lambda: hub.exists() or first.poll() is not None)
+    for _ in range(20):  # its tokens come a moment after its hub
+        second = desk("replay", recording, "--as", "ghost", "--rate", "0")
+        _, told = second.communicate(timeout=30)
+        if second.returncode == 2:
+            break
+    assert second.returncode == 2
+    assert "robot 'ghost' runs and publishes scan itself; play as another with --as" in told
+    first.terminate()
+    first.communicate(timeout=10)
+    assert first.returncode == 130
+
+
+def _wait(done, within_s=20.0):
+    end = time.monotonic() + within_s
+    while not done() and time.monotonic() < end:
+        time.sleep(0.02)
+    assert done()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nowhere.mcap"], "nowhere.mcap: No such file"),
+        (["run.mcap", "--rate", "-1"], "rate = -1.0"),
+        (["run.mcap", "--topics", "map"], "topic 'map': not recorded; there are cmd_vel, scan"),
+        (["run.mcap", "--as", "R2 D2"], "must be lower-case letters"),
+        (["run.mcap", "--out", "x"], "--out: only with --map"),
+        (["bad.mcap"], "not an MCAP file"),
+    ],
+)
+def test_what_cannot_be_played_is_one_line_and_exit_code_2(
+    recording, tmp_path, monkeypatch, capsys, arguments, said
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.mcap").write_text("no recording")
+    assert main(["replay", *arguments]) == 2
+    captured = capsys.readouterr()
+    assert said in captured.err
+    assert captured.err.count("\n") == 1
+
+
+def test_recording_a_robot_that_does_not_run_is_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("HALLWAY_RUN", str(tmp_path / "run"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["record", "--robot", "nobody"]) == 1
+    assert "robot 'nobody' does not run here" in capsys.readouterr().err
+    assert not (tmp_path / "recordings").exists()

@@ -1,0 +1,242 @@
+"""Playing back: order and bytes of the file, the pace that was asked for, and nothing that moves a robot."""
+
+import numpy as np
+import pytest
+
+from runtime.cli.replay import obey
+from runtime.errors import ConfigError
+from runtime.formats.mcap_log import McapChannel, McapWriter
+from runtime.messages import LaserScan, encode, header
+from runtime.nodes import player
+from runtime.port import ListPort
+from runtime.replay import Control, Recorded, ReplayConfig, play
+from runtime.topics import TOPICS
+
+S = 10**9
+BEGAN = 1_700_000_000 * S
+
+
+def scan(n):
+    ranges = np.full(3, n, dtype=np.float32)
+    arrays = ranges, np.zeros(0, np.float32)
+    return encode(
+        LaserScan(header(BEGAN + n * S // 10, "laser"), -1.0, 1.0, 1.0, 0.0, 0.1, 0.0, 99.0, *arrays)
+    )
+
+
+def write(path, rows, gid="aa"):
+    writer = McapWriter(path, {"hallway": {"robot": "robot"}})
+    for number, (name, log_ns, payload) in enumerate(rows, start=1):
+        channel = McapChannel(f"/robot/{name}", TOPICS[name].type, {"gid": gid + name})
+        writer.add(channel, number, BEGAN + log_ns, BEGAN + log_ns, payload)
+    writer.finish()
+    return path
+
+
+@pytest.fixture
+def recording(tmp_path):
+    rows = [("scan", n * S // 10, scan(n)) for n in range(20)]
+    rows.insert(3, ("cmd_vel", 3 * S // 10, b"drive!"))
+    rows.insert(9, ("battery", 9 * S // 10, b"low"))
+    return write(tmp_path / "a.mcap", rows)
+
+
+class Stage:
+    """A present that moves only while somebody sleeps."""
+
+    def __init__(self, config=None, **kwargs):
+        self.config = config or ReplayConfig(**kwargs)
+        self.now_ns = 5_000 * S
+        self.control = Control()
+        self.sent = []
+        self.clock = []
+        self.on_sleep = lambda: None
+
+    def sleep(self, seconds):
+        assert 0 < seconds <= 0.05
+        self.now_ns += round(seconds * 1e9)
+        self.on_sleep()
+
+    def play(self, recorded):
+        return play(
+            recorded,
+            self.config,
+            self.control,
+            lambda name, payload: self.sent.append((self.now_ns, name, payload)),
+            self.clock.append,
+            now_ns=lambda: self.now_ns,
+            sleep=self.sleep,
+        )
+
+    def run(self, *files):
+        return self.play(Recorded(files, self.config))
+
+
+def test_everything_is_played_in_order_byte_for_byte_but_what_moves_a_robot(recording):
+    stage = Stage()
+    played = stage.run(recording)
+    sent = [("scan", scan(n)) for n in range(20)]
+    sent.insert(8, ("battery", b"low"))
+    assert [(name, payload) for _, name, payload in stage.sent] == sent
+    assert played.messages == {"scan": 20, "battery": 1}
+    assert played.complete
+    assert played.scan_stamps_ns == [BEGAN + n * S // 10 for n in range(20)]
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0, 4.0])
+def test_the_pace_is_the_recorded_one_times_the_rate(recording, rate):
+    stage = Stage(rate=rate, topics=("scan",))
+    stage.run(recording)
+    times = np.array([now for now, _, _ in stage.sent])
+    np.testing.assert_allclose(times - times[0], np.arange(20) * 0.1 * S / rate, atol=1000)
+
+
+def test_a_rate_of_zero_never_waits(recording):
+    stage = Stage(rate=0.0)
+    stage.run(recording)
+    assert {now for now, _, _ in stage.sent} == {5_000 * S}
+
+
+def test_the_recorded_time_is_told_twenty_times_a_second(recording):
+    stage = Stage()
+    stage.run(recording)
+    told = np.array(stage.clock) - BEGAN
+    assert told[0] == 0
+    assert (np.diff(told) > 0).all()
+    assert 38 <= len(told) <= 42  # 1.9 s
+
+
+def test_a_part_is_played_by_recorded_time(recording):
+    stage = Stage(start_s=0.5, duration_s=1.0, topics=("scan",))
+    played = stage.run(recording)
+    assert [payload for _, _, payload in stage.sent] == [scan(n) for n in range(5, 15)]
+    assert played.complete
+
+
+def test_a_loop_begins_again_at_once(recording):
+    stage = Stage(loop=True, topics=("scan",))
+    stage.control.stopping = lambda: len(stage.sent) == 50
+    played = stage.run(recording)
+    assert [payload for _, _, payload in stage.sent] == [scan(n % 20) for n in range(50)]
+    assert not played.complete
+
+
+def test_a_pause_takes_no_recorded_time(recording):
+    stage = Stage(topics=("scan",))
+
+    def pause_for_a_while():
+        if len(stage.sent) == 5 and stage.now_ns < 5_003 * S:
+            stage.control.paused = True
+        elif stage.now_ns > 5_008 * S:
+            stage.control.paused = False
+
+    stage.on_sleep = pause_for_a_while
+    played = stage.run(recording)
+    gaps = np.diff([now for now, _, _ in stage.sent]) / 1e9
+    assert np.argmax(gaps) == 4
+    assert gaps[4] > 7.0
+    np.testing.assert_allclose(np.delete(gaps, 4), 0.1, atol=0.06)
+    assert played.complete
+
+
+def test_steps_play_one_message_each_while_paused(recording):
+    stage = Stage(topics=("scan",))
+    stage.control.paused, stage.control.steps = True, 3
+    stage.control.stopping = lambda: stage.now_ns > 5_010 * S
+    stage.run(recording)
+    assert [payload for _, _, payload in stage.sent] == [scan(0), scan(1), scan(2)]
+
+
+def test_a_change_of_rate_holds_from_where_the_recording_is(recording):
+    stage = Stage(topics=("scan",))
+
+    def faster():
+        if len(stage.sent) == 10:
+            stage.control.rate = 10.0
+
+    stage.on_sleep = faster
+    stage.run(recording)
+    gaps = np.diff([now for now, _, _ in stage.sent]) / 1e9
+    np.testing.assert_allclose(gaps[:9], 0.1, atol=1e-6)
+    np.testing.assert_allclose(gaps[10:], 0.01, atol=1e-6)
+
+
+def test_the_keys_mean_what_the_help_says():
+    control = Control()
+    assert obey(" ", control)
+    assert control.paused
+    assert obey("s", control)
+    assert (control.paused, control.steps) == (True, 1)
+    assert obey("+", control)
+    assert obey("+", control)
+    assert obey("-", control)
+    assert control.rate == 2.0
+    assert not obey("q", control)
+
+
+def test_parts_of_one_recording_are_played_one_after_the_other(tmp_path):
+    a = write(tmp_path / "a_000.mcap", [("scan", n * S // 10, scan(n)) for n in range(3)])
+    b = write(tmp_path / "a_001.mcap", [("scan", n * S // 10, scan(n)) for n in range(3, 6)])
+    stage = Stage()
+    stage.run(a, b)
+    times = np.array([now for now, _, _ in stage.sent])
+    np.testing.assert_allclose(np.diff(times), 0.1 * S, atol=1000)
+    assert [payload for _, _, payload in stage.sent] == [scan(n) for n in range(6)]
+
+
+def test_what_moves_a_robot_is_played_when_it_is_asked_for(recording):
+    stage = Stage(topics=("cmd_vel",))
+    stage.run(recording)
+    assert [(name, payload) for _, name, payload in stage.sent] == [("cmd_vel", b"drive!")]
+
+
+def test_a_cut_recording_is_played_as_far_as_it_goes_and_says_so(recording, tmp_path):
+    (tmp_path / "cut.mcap.active").write_bytes(recording.read_bytes()[:-9000])
+    recorded = Recorded([recording], ReplayConfig())
+    assert recorded.losses == []
+    cut = tmp_path / "c.mcap"
+    writer = McapWriter(cut)
+    writer.add(McapChannel("/robot/scan", TOPICS["scan"].type, {}), 1, BEGAN, 0, scan(0))
+    writer.flush()
+    writer.abandon()
+    assert "the file was cut" in Recorded([tmp_path / "c.mcap.active"], ReplayConfig()).losses[0]
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        ({"topics": ("map",)}, "topic 'map': not recorded; there are battery, cmd_vel, scan"),
+        ({"start_s": 10.0}, "start_s = 10.0, the recording lasts 1.900 s"),
+    ],
+)
+def test_what_is_not_there_cannot_be_played(recording, config, said):
+    with pytest.raises(ConfigError, match=said):
+        Recorded([recording], ReplayConfig(**config))
+
+
+@pytest.mark.parametrize(
+    "config", [{"rate": -1.0}, {"rate": 1000.0}, {"start_s": -1.0}, {"duration_s": -1.0}]
+)
+def test_a_wrong_configuration_is_refused(config):
+    with pytest.raises(ValueError, match=next(iter(config))):
+        ReplayConfig(**config)
+
+
+# ---- the player process ----
+
+
+def test_the_player_sends_the_scans_and_waits_for_the_last_pose(recording, tmp_path):
+    port = ListPort(stop_after=10**9, results_dir=tmp_path / "out")
+    config = player.Config(file=str(recording), replay=ReplayConfig(rate=0.0, topics=("scan",)))
+    port.MAX_IDLE_WAITS = 3  # nobody answers: the wait for the last pose must end
+    assert player.run(port, config) == 0
+    assert [payload for name, payload in port.published if name == "scan"] == [scan(n) for n in range(20)]
+    assert (tmp_path / "out" / "played.json").is_file()
+
+
+@pytest.mark.parametrize(
+    ("topics", "said"), [(("odom",), "'odom' is none of scan, truth"), ((), "must name at least one")]
+)
+def test_the_player_speaks_for_sensors_only(topics, said):
+    with pytest.raises(ValueError, match=said):
+        player.Config(file="a.mcap", replay=ReplayConfig(topics=topics))
