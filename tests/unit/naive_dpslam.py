@@ -1,0 +1,320 @@
+"""The mapper's naive twin: every particle owns a whole map, and a selection copies whole maps.
+
+No tiles, no sharing, no tree, no block that is kept: dense arrays, lists of poses, plain loops. What it shares with
+the real one are the numbers of the models, the sweeps and the random stream. Sums run in the same order, so that
+results can be compared bit for bit; scalar functions are those of the C library, as compiled code calls them.
+"""
+
+import math
+
+import numpy as np
+
+from processing import se2
+from processing.dpslam import alignment, laser_model, population
+from processing.dpslam.config import DpSlamConfig
+from processing.dpslam.grid import BLOCK, BLOCK_M, CELL_M
+from processing.dpslam.proposal import carry, noise_root, priors
+from processing.dpslam.sweep import Sweeper
+
+HALF = 320
+"""The dense maps reach so many cells from the start."""
+
+
+def cells_of(x0, y0, x1, y1):
+    """Walk from one point to another (in cells); yield column, row, and where the ray enters and leaves."""
+
+    def axis(start, end):
+        cell, d = math.floor(start), end - start
+        if d > 0.0:
+            return cell, 1, (cell + 1.0 - start) / d, 1.0 / d
+        if d < 0.0:
+            return cell, -1, (cell - start) / d, -1.0 / d
+        return cell, 0, math.inf, math.inf
+
+    col, step_x, next_x, way_x = axis(x0, x1)
+    row, step_y, next_y, way_y = axis(y0, y1)
+    at = 0.0
+    while True:
+        last = next_x >= 1.0 and next_y >= 1.0
+        until = 1.0 if last else min(next_x, next_y)
+        yield col, row, at, until, last
+        if last:
+            return
+        at = until
+        if next_x <= next_y:
+            col, next_x = col + step_x, next_x + way_x
+        else:
+            row, next_y = row + step_y, next_y + way_y
+
+
+def placed(pose, rays):
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    out = []
+    for x0, y0, x1, y1 in rays.tolist():
+        out.append(
+            (
+                c * x0 - s * y0 + pose[0],
+                s * x0 + c * y0 + pose[1],
+                c * x1 - s * y1 + pose[0],
+                s * x1 + c * y1 + pose[1],
+            )
+        )
+    return out
+
+
+class NaiveMap:
+    """One particle's whole map: stops, metres, and end point offsets of every cell."""
+
+    def __init__(self):
+        self.cells = np.zeros((2 * HALF, 2 * HALF, 4), dtype=np.float32)
+
+    def copy(self):
+        other = NaiveMap()
+        other.cells = self.cells.copy()
+        return other
+
+    def write(self, rays_map, memory):
+        for x0, y0, x1, y1 in rays_map:
+            u0, v0, u1, v1 = x0 / CELL_M, y0 / CELL_M, x1 / CELL_M, y1 / CELL_M
+            length = float(np.hypot(u1 - u0, v1 - v0)) * CELL_M
+            for col, row, at, until, last in cells_of(u0, v0, u1, v1):
+                cell = self.cells[row + HALF, col + HALF]
+                cell[1] += np.float32((until - at) * length)
+                if last:
+                    cell[0] += np.float32(1.0)
+                    cell[2] += np.float32((u1 - col) * CELL_M)
+                    cell[3] += np.float32((v1 - row) * CELL_M)
+                seen = float(cell[0]) + float(cell[1]) / CELL_M
+                if cell[0] > 0.0 and seen > memory:
+                    cell *= np.float32(memory / seen)
+                elif cell[0] == 0.0 and float(cell[1]) > memory * CELL_M:
+                    cell[1] = np.float32(memory * CELL_M)
+
+    def log_likelihood(self, rays_map, every, whole):
+        m = laser_model
+        total = 0.0
+        for x0, y0, x1, y1 in rays_map[::every]:
+            reading = float(np.hypot(x1 - x0, y1 - y0))
+            dx, dy = (x1 - x0) / reading, (y1 - y0) / reading
+            start = 0.0 if whole else max(0.0, reading - m.NEAR_M)
+            end = reading + m.NEAR_M
+            ends = (x0 + start * dx, y0 + start * dy, x0 + end * dx, y0 + end * dy)
+            depth = likelihood = 0.0
+            for col, row, at, until, _last in cells_of(*(v / CELL_M for v in ends)):
+                stops, metres = (float(v) for v in self.cells[row + HALF, col + HALF, :2])
+                density = (stops + m.PRIOR_DENSITY * m.PRIOR_M) / (metres + m.PRIOR_M)
+                thick = density * (until - at) * (end - start)
+                error = start + 0.5 * (at + until) * (end - start) - reading
+                if abs(error) < m.NEAR_M:
+                    here = math.exp(-depth) - math.exp(-depth - thick)
+                    likelihood += here * math.exp(-0.5 * (error / m.SIGMA_M) ** 2)
+                depth += thick
+                if depth > 30.0:
+                    break
+            total += math.log(m.FLOOR + likelihood)
+        return total
+
+    def block(self, row, col):
+        """Moments of the occupied cells of one block, in single precision as the store keeps them."""
+        moments = [0.0] * 6
+        for r in range(BLOCK):
+            for c in range(BLOCK):
+                stops, metres, ox, oy = self.cells[row * BLOCK + r + HALF, col * BLOCK + c + HALF]
+                if stops <= 0.0:
+                    continue
+                density = (float(stops) + laser_model.PRIOR_DENSITY * laser_model.PRIOR_M) / (
+                    float(metres) + laser_model.PRIOR_M
+                )
+                if 1.0 - math.exp(-density * CELL_M) < laser_model.OCCUPIED:
+                    continue
+                w = min(float(stops), 10.0)
+                x, y = float(ox / stops) + c * CELL_M, float(oy / stops) + r * CELL_M
+                for k, value in enumerate((w, w * x, w * y, w * x * x, w * x * y, w * y * y)):
+                    moments[k] += value
+        return [float(np.float32(v)) for v in moments]
+
+    def normal(self, row, col):
+        """Mean and inverse covariance of the NDT cell of 2 x 2 blocks from this block on; None if too empty."""
+        n = sx = sy = sxx = sxy = syy = 0.0
+        for j in range(2):
+            for i in range(2):
+                b = self.block(row + j, col + i)
+                w = b[0]
+                if w <= 0.0:
+                    continue
+                ox, oy = i * BLOCK_M, j * BLOCK_M
+                n += w
+                sx += b[1] + w * ox
+                sy += b[2] + w * oy
+                sxx += b[3] + 2.0 * ox * b[1] + w * ox * ox
+                sxy += b[4] + ox * b[2] + oy * b[1] + w * ox * oy
+                syy += b[5] + 2.0 * oy * b[2] + w * oy * oy
+        if n < alignment.LEAST_WEIGHT:
+            return None
+        mx, my = sx / n, sy / n
+        xx, xy, yy = sxx / n - mx * mx, sxy / n - mx * my, syy / n - my * my
+        middle, half = 0.5 * (xx + yy), float(np.hypot(0.5 * (xx - yy), xy))
+        long, short = middle + half, max(middle - half, 0.0)
+        angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
+        c, s = math.cos(angle), math.sin(angle)
+        short = max(short, 0.001 * long, alignment.LEAST_SPREAD_M * alignment.LEAST_SPREAD_M)
+        long = max(long, short)
+        if long > alignment.LONG * short:
+            long *= alignment.STRETCH
+        a, b = 1.0 / long, 1.0 / short
+        return mx, my, a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c
+
+    def align(self, points, predicted, prior, gain):
+        normals = {}
+        pose = [float(v) for v in predicted]
+        for _ in range(alignment.ITERATIONS):
+            c, s = math.cos(pose[2]), math.sin(pose[2])
+            g, h = [0.0] * 3, [0.0] * 6
+            for x, y in points.tolist():
+                rx, ry = c * x - s * y, s * x + c * y
+                u, v = (pose[0] + rx) / BLOCK_M, (pose[1] + ry) / BLOCK_M
+                for j in range(2):
+                    for k in range(2):
+                        row, col = math.floor(v) - j, math.floor(u) - k
+                        if (row, col) not in normals:
+                            normals[row, col] = self.normal(row, col)
+                        n = normals[row, col]
+                        if n is None:
+                            continue
+                        qx, qy = (u - col) * BLOCK_M - n[0], (v - row) * BLOCK_M - n[1]
+                        wx, wy = n[2] * qx + n[3] * qy, n[3] * qx + n[4] * qy
+                        m = qx * wx + qy * wy
+                        if m > 30.0:
+                            continue
+                        e = math.exp(-0.5 * m) / 4
+                        wa = -ry * wx + rx * wy
+                        ax, ay = -ry * n[2] + rx * n[3], -ry * n[3] + rx * n[4]
+                        for index, value in enumerate((e * wx, e * wy, e * wa)):
+                            g[index] += value
+                        terms = (e * n[2], e * n[3], e * n[4], e * ax, e * ay, e * (-ry * ax + rx * ay))
+                        for index, value in enumerate(terms):
+                            h[index] += value
+            step = _newton(pose, predicted, prior, gain, g, h)
+            pose = [p + d for p, d in zip(pose, step, strict=True)]
+            if abs(step[0]) < 1e-4 and abs(step[1]) < 1e-4 and abs(step[2]) < 1e-5:
+                break
+        pose[2] = (pose[2] + math.pi) % (2.0 * math.pi) - math.pi
+        return np.array(pose)
+
+
+def _newton(pose, predicted, prior, gain, g, h):
+    d0, d1 = pose[0] - predicted[0], pose[1] - predicted[1]
+    d2 = (pose[2] - predicted[2] + math.pi) % (2.0 * math.pi) - math.pi
+    a00, a01, a11 = gain * h[0] + prior[0, 0], gain * h[1] + prior[0, 1], gain * h[2] + prior[1, 1]
+    a02, a12, a22 = gain * h[3] + prior[0, 2], gain * h[4] + prior[1, 2], gain * h[5] + prior[2, 2]
+    b0 = gain * g[0] + prior[0, 0] * d0 + prior[0, 1] * d1 + prior[0, 2] * d2
+    b1 = gain * g[1] + prior[0, 1] * d0 + prior[1, 1] * d1 + prior[1, 2] * d2
+    b2 = gain * g[2] + prior[0, 2] * d0 + prior[1, 2] * d1 + prior[2, 2] * d2
+    m00, m01, m02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
+    m11, m12, m22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
+    det = a00 * m00 + a01 * m01 + a02 * m02
+    return (
+        -(m00 * b0 + m01 * b1 + m02 * b2) / det,
+        -(m01 * b0 + m11 * b1 + m12 * b2) / det,
+        -(m02 * b0 + m12 * b1 + m22 * b2) / det,
+    )
+
+
+class NaiveDpSlam:
+    """DP-SLAM as one would write it first: P maps, P paths, copied whole when a particle has descendants."""
+
+    def __init__(self, config: DpSlamConfig, seed: int):
+        self.config, self.seed = config, seed
+        self.maps = [NaiveMap() for _ in range(config.particles)]
+        self.paths = [[] for _ in range(config.particles)]
+        self.poses = np.zeros((config.particles, 3))
+        self.log_weights = np.full(config.particles, -np.log(config.particles))
+        self.best = 0
+        self.keys = 0
+        self.sweeps = []
+        self.odom = self.key_odom = None
+        self.selections = 0
+
+    def step(self, scan, motion):
+        odom = motion.odom_t_laser
+        if self.odom is None:
+            self.sweeper = Sweeper(scan.beams, self.config.points, self.config.range_max_m)
+            self.key_odom, self.covariance = odom, np.zeros((3, 3))
+        else:
+            step = se2.between(self.odom, odom)
+            self.covariance = carry(self.covariance, step) + motion.covariance
+        first, self.odom = self.odom is None, odom
+        moved = se2.between(self.key_odom, odom)
+        c = self.config
+        if not first and np.hypot(*moved[:2]) < c.key_distance_m and abs(moved[2]) < c.key_rotation_rad:
+            return False
+        sweep = self.sweeper.take(scan, motion)
+        if not first:
+            self._update(sweep, moved)
+        else:
+            for path, pose in zip(self.paths, self.poses, strict=True):
+                path.append(pose)
+        self.keys += 1
+        self.sweeps.append(sweep.rays.astype(np.float32))
+        for own_map, pose in zip(self.maps, self.poses, strict=True):
+            own_map.write(placed(pose, sweep.rays), c.memory)
+        self.key_odom, self.covariance = odom, np.zeros((3, 3))
+        return True
+
+    def relive(self, path):
+        offsets = se2.between(self.poses[self.best], self.poses)
+        self.poses = se2.compose(path[-1], offsets)
+        self.paths = [[*path[:-1], pose] for pose in self.poses]
+        drawn = NaiveMap()
+        for pose, rays in zip(path, self.sweeps, strict=True):
+            drawn.write(placed(pose, rays), self.config.memory)
+        self.maps = [drawn.copy() for _ in self.poses]
+
+    def _update(self, sweep, moved):
+        c = self.config
+        count = c.particles
+        random = np.random.Generator(np.random.Philox(key=self.seed, counter=(0, 0, 0, self.keys)))
+        normal, uniform = random.standard_normal((count, 3)), random.random()
+        root = noise_root(self.covariance)
+        predicted = se2.compose(se2.compose(self.poses, moved), normal @ root.T)
+        ties = priors(root, c.prior_m, c.prior_rad, predicted[:, 2])
+        self.poses = np.stack(
+            [
+                own_map.align(sweep.points, pose, prior, population.GAIN)
+                for own_map, pose, prior in zip(self.maps, predicted, ties, strict=True)
+            ]
+        )
+        rays = sweep.rays[:: max(1, len(sweep.rays) // c.rays)]
+        seen = [placed(pose, rays) for pose in self.poses]
+        cheap = np.array(
+            [m.log_likelihood(r, 3, False) for m, r in zip(self.maps, seen, strict=True)]
+        )
+        estimate = self.log_weights + c.tempering * 3.0 * cheap
+        weights = np.full(count, -1e300)
+        for i in np.flatnonzero(estimate >= estimate.max() - population.NEGLIGIBLE):
+            full = self.maps[i].log_likelihood(seen[i], 1, True)
+            weights[i] = self.log_weights[i] + c.tempering * full
+        peak = weights.max()
+        self.log_weights = weights - (peak + np.log(np.exp(weights - peak).sum()))
+        self.best = int(np.argmax(self.log_weights))
+        for path, pose in zip(self.paths, self.poses, strict=True):
+            path.append(pose)
+        if 1.0 / np.exp(2.0 * self.log_weights).sum() < count / 2:
+            self._select(uniform)
+
+    def _select(self, uniform):
+        count = self.config.particles
+        edges = np.cumsum(np.exp(self.log_weights))
+        edges /= edges[-1]
+        children = [0] * count
+        for k in range(count):
+            children[int(np.searchsorted(edges, (uniform + k) / count, side="right"))] += 1
+        # Survivors keep their places, and the others take those of the dead, in order.
+        spare = [i for i in range(count) for _ in range(children[i] - 1)]
+        parents = [i if children[i] else spare.pop(0) for i in range(count)]
+        self.maps = [self.maps[p].copy() for p in parents]
+        self.paths = [list(self.paths[p]) for p in parents]
+        self.poses = self.poses[parents]
+        self.log_weights = np.full(count, -np.log(count))
+        self.best = parents.index(self.best)
+        self.selections += 1

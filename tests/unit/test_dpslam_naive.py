@@ -1,0 +1,95 @@
+"""The shared store and the ancestry tree give, bit for bit, what P whole maps and P whole paths give."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drivers.world import Sick, room, simulate_scans
+
+from processing import se2
+from processing.dpslam.config import DpSlamConfig
+from processing.dpslam.filter import DpSlam
+from processing.dpslam.grid import TILE
+from processing.motion import Motion
+from processing.scan import Beams, Scan
+
+_spec = importlib.util.spec_from_file_location("naive_dpslam", Path(__file__).with_name("naive_dpslam.py"))
+naive = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(naive)
+
+COVARIANCE = np.diag((0.03**2, 0.03**2, 0.01**2))
+
+
+def drive(scans, seed):
+    """Scans of a small laser in a furnished room, with motions that err by a few centimetres a step."""
+    laser = Sick(beams=24, angle_increment_rad=np.pi / 24, range_max_m=8.0)
+    beams = Beams(
+        count=24,
+        angle_min_rad=laser.angle_min_rad,
+        angle_increment_rad=laser.angle_increment_rad,
+        time_increment_s=laser.time_increment_s,
+        period_s=laser.period_s,
+        range_min_m=laser.range_min_m,
+        range_max_m=laser.range_max_m,
+    )
+    rng = np.random.default_rng(seed)
+    odom, before = np.zeros(3), None
+    course = simulate_scans(room(), laser=laser, speed_mps=0.8, max_scans=scans, rest_s=0.0, seed=seed)
+    for stamp_ns, ranges_m, world_t_laser in course:
+        if before is not None:
+            error = rng.normal(size=3) * (0.02, 0.02, 0.006)
+            odom = se2.snap_yaw(se2.compose(odom, se2.between(before, world_t_laser) + error))
+        before = world_t_laser
+        motion = Motion(stamp_ns, odom, COVARIANCE, np.array((0.5, 0.0, 0.1)))
+        yield Scan(stamp_ns, ranges_m.copy(), beams), motion
+
+
+def maps_of(slam):
+    """Dense maps of all particles, cut to the extent of the naive ones."""
+    side = 2 * naive.HALF
+    for particle in range(slam.config.particles):
+        cells, (row, col) = slam.population.store.dense(particle)
+        dense = np.zeros((side, side, 4), dtype=np.float32)
+        dense[row + naive.HALF :, col + naive.HALF :][: cells.shape[0], : cells.shape[1]] = cells
+        yield dense
+
+
+def compare(slam, twin):
+    assert np.array_equal(slam.population.poses, twin.poses)
+    assert np.array_equal(slam.population.log_weights, twin.log_weights)
+    assert slam.population.best == twin.best
+    for particle, dense in enumerate(maps_of(slam)):
+        assert np.array_equal(slam.population.ancestry.path(particle), np.array(twin.paths[particle]))
+        assert np.array_equal(dense, twin.maps[particle].cells)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_filter_equals_one_that_copies_whole_maps(seed):
+    # Many selections: a strong tempering on few particles.
+    config = DpSlamConfig(
+        particles=5, points=20, rays=12, key_distance_m=0.15, tempering=0.5, memory=8, close_loops=False
+    )
+    slam, twin = DpSlam(config, seed), naive.NaiveDpSlam(config, seed)
+    for number, (scan, motion) in enumerate(drive(36, seed)):
+        assert slam.step(scan, motion).updated == twin.step(scan, motion)
+        if number == 24:
+            # A bent past, as closing a loop gives it: both live through it again.
+            bend = np.linspace(0.0, 0.2, twin.keys)[:, None] * np.array((0.5, -0.3, 0.1))
+            path = se2.compose(slam.population.path, bend)
+            slam.relive(path)
+            twin.relive(path)
+            compare(slam, twin)
+    assert twin.selections >= 5
+    assert twin.keys >= 15
+    compare(slam, twin)
+
+
+def test_particles_share_most_of_their_tiles():
+    config = DpSlamConfig(particles=30, points=20, rays=12, key_distance_m=0.15, close_loops=False)
+    slam = DpSlam(config, 3)
+    for scan, motion in drive(60, 3):
+        slam.step(scan, motion)
+    naive_tiles = int((slam.population.store.table >= 0).sum())
+    assert slam.population.store.tiles_used < 0.8 * naive_tiles
+    assert slam.population.store.arrays[0].shape[1:3] == (TILE, TILE)
