@@ -210,6 +210,15 @@ class Screen:
         )
 
 
+def send_file(url: str, file: Path) -> None:
+    """Send an .rrd file to a viewer."""
+    rec = rr.RecordingStream("hallway", send_properties=False)
+    rec.connect_grpc(url)
+    rec.log_file_from_path(file)
+    rec.flush(timeout_sec=60.0)
+    rec.disconnect()
+
+
 def _raised(points: NDArray[np.float64], z: float) -> NDArray[np.float32]:
     flat = np.full((len(points), 3), z, dtype=np.float32)
     flat[:, :2] = points[:, :2]

@@ -1,0 +1,199 @@
+"""Look at a running robot, here or paired, or at a recording: map, scan, path, particles, states, latency."""
+
+import argparse
+import os
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+from runtime.errors import ConfigError
+
+if TYPE_CHECKING:
+    from runtime.nodes.viewer import Config
+
+_TURN_S = 0.1
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments; heavy imports wait until `run`."""
+    parser.add_argument("file", type=Path, nargs="?", help="recording (.mcap or .rrd); else a running robot")
+    parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
+    parser.add_argument("--domain", type=int, default=0, help="ROS domain (default 0)")
+    parser.add_argument(
+        "--connect", metavar="HOST[:PORT]", help="where the paired robot is now, if it has moved"
+    )
+    parser.add_argument("--web", action="store_true", help="as a page at 127.0.0.1 instead of a window")
+    parser.add_argument("--save", type=Path, metavar="F.rrd", help="into a file instead of a window")
+    parser.add_argument("--port", type=int, default=9876, help="of the picture (default 9876)")
+    parser.add_argument("--web-port", type=int, default=9090, help="of the page (default 9090)")
+    parser.add_argument(
+        "--memory", type=int, default=512, metavar="MB", help="of the picture; the oldest goes first"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show until the window is closed, the robot ends (0) or Ctrl-C (130)."""
+    from runtime.nodes import viewer
+
+    if args.web and args.save:
+        raise ConfigError("--web and --save: choose one")
+    if args.save is not None and args.save.exists():
+        raise ConfigError(f"--save {args.save}: exists already")
+    try:
+        config = viewer.Config(
+            mode="web" if args.web else "save" if args.save else "auto",
+            file=str(args.save or ""),
+            port=args.port,
+            web_port=args.web_port,
+            memory_mb=args.memory,
+        )
+    except ValueError as error:
+        raise ConfigError(f"hallway view: {error}") from error
+    with tempfile.TemporaryDirectory(prefix="hallway-view-") as folder, _signals() as asked:
+        if args.file is None:
+            code = _show_robot(args, config, Path(folder), asked)
+        elif args.file.suffix == ".rrd":
+            code = _show_rrd(args.file, config, Path(folder), asked)
+        else:
+            code = _show_recording(args, config, Path(folder), asked)
+    return 130 if signal.SIGINT in asked else code
+
+
+def _show_robot(args: argparse.Namespace, config: "Config", folder: Path, asked: list[int]) -> int:
+    from runtime import rundir
+    from runtime.bus_zenoh import ZenohBus
+    from runtime.node import BusPort
+    from runtime.nodes import viewer
+    from runtime.nodes.viewer_scene import SUBSCRIBES
+
+    session = _session(args.robot, args.connect)
+    here = args.connect is None and rundir.is_running(args.robot)
+
+    class RobotPort(BusPort):
+        """Stops with the person who looks, and with the robot."""
+
+        @property
+        def stopping(self) -> bool:
+            if asked or (here and not rundir.is_running(args.robot)):
+                self.stop()
+            return super().stopping
+
+    port = RobotPort(
+        f"view_{os.getpid()}",
+        lambda: ZenohBus(session),
+        subscribes=SUBSCRIBES,
+        robot=args.robot,
+        domain=args.domain,
+        run_dir=folder,
+    )
+    with port:
+        return viewer.run(port, config, say=_say)
+
+
+def _session(robot: str, address: str | None) -> dict[str, Any]:
+    """Return how to reach a robot: on this machine, or paired with it, perhaps at another address."""
+    from dataclasses import replace
+
+    from runtime import gate
+    from runtime.keys import paired
+
+    if address is None:
+        return gate.visit(robot)
+    invitation = paired(robot)
+    if invitation is None:
+        raise ConfigError(f"--connect {address}: this machine is not paired with {robot!r}; see hallway keys")
+    port = invitation.address.rpartition(":")[2]
+    return gate.guest(replace(invitation, address=address if ":" in address else f"{address}:{port}"))
+
+
+def _show_recording(args: argparse.Namespace, config: "Config", folder: Path, asked: list[int]) -> int:
+    from runtime.nodes.viewer_recording import draw
+    from runtime.replay import Recorded, ReplayConfig
+
+    recorded = Recorded([args.file], ReplayConfig(rate=0.0))
+    with _target(config, folder) as (screen, server):
+        robot, drawn = draw(recorded, screen, lambda: bool(asked))
+        print(f"{args.file}: {drawn} messages of {robot!r}", file=sys.stderr)
+        if server is None:
+            screen.close(60.0)
+            print(f"saved to {config.file}", file=sys.stderr)
+            return 0
+        screen.close(10.0)
+        _say(server.page or "a window")
+        return _wait(server, asked)
+
+
+def _show_rrd(file: Path, config: "Config", folder: Path, asked: list[int]) -> int:
+    from runtime.nodes.viewer_screen import send_file
+
+    if config.mode == "save":
+        raise ConfigError(f"--save {config.file}: {file} is saved already")
+    if not file.is_file():
+        raise FileNotFoundError(2, "No such file or directory", str(file))
+    with _server(config, folder) as server:
+        send_file(server.url, file)
+        _say(server.page or "a window")
+        return _wait(server, asked)
+
+
+@contextmanager
+def _target(config: "Config", folder: Path) -> Iterator[tuple[Any, Any]]:
+    from runtime.nodes.viewer_screen import Screen
+
+    if config.mode == "save":
+        yield Screen("recording", file=Path(config.file)), None
+        return
+    with _server(config, folder) as server:
+        yield Screen("recording", url=server.url), server
+
+
+@contextmanager
+def _server(config: "Config", folder: Path) -> Iterator[Any]:
+    from runtime.nodes.viewer import has_screen
+    from runtime.nodes.viewer_server import ViewerServer
+
+    server = ViewerServer(
+        web=config.mode == "web" or not has_screen(),
+        port=config.port,
+        web_port=config.web_port,
+        memory_mb=config.memory_mb,
+        log=folder / "viewer.log",
+    )
+    try:
+        yield server
+    finally:
+        server.close()
+
+
+def _wait(server: Any, asked: list[int]) -> int:
+    while not asked and server.exit_code is None:
+        time.sleep(_TURN_S)
+    return 0 if asked or server.exit_code == 0 else 1
+
+
+def _say(where: str) -> None:
+    print(f"look at {where}; Ctrl-C ends" if "://" in where else f"showing in {where}", flush=True)
+
+
+@contextmanager
+def _signals() -> Iterator[list[int]]:
+    """Collect the signals that ask for the end."""
+    asked: list[int] = []
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        if len(asked) > 1:
+            raise KeyboardInterrupt
+        asked.append(number)
+
+    before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,94 @@
+"""`hallway view` as a person types it."""
+
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from runtime import messages
+from runtime.cli import main
+from runtime.formats.mcap_log import McapChannel
+from runtime.nodes import viewer_server
+from runtime.recording import Recording, RecordingConfig
+from runtime.topics import topic
+
+_spec = importlib.util.spec_from_file_location("viewer_story", Path(__file__).with_name("viewer_story.py"))
+story = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(story)
+
+
+@pytest.fixture
+def recording(tmp_path):
+    """A drive of four seconds as an MCAP file."""
+    writer = Recording(tmp_path / "drive.mcap", "robot", RecordingConfig(min_free_mb=0), story.BEGIN_NS)
+    for number, one in enumerate(story.drive(40)):
+        channel = McapChannel(f"/robot/{one.topic}", topic(one.topic).type, {})
+        payload = messages.encode(one.message)
+        writer.add(channel, number, one.received_ns, one.published_ns, payload)
+    writer.close(story.stamp(50))
+    return tmp_path / "drive.mcap"
+
+
+def entities(rrd):
+    command = [viewer_server.program(), "rrd", "stats", str(rrd)]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def test_a_recording_becomes_a_picture_in_a_file(recording, tmp_path, capsys):
+    file = tmp_path / "drive.rrd"
+    assert main(["view", str(recording), "--save", str(file)]) == 0
+    assert "of 'robot'" in capsys.readouterr().err
+    stats = entities(file)
+    assert "/world/map: " in stats
+    assert "/latency/scan_to_pose: " in stats
+
+
+@pytest.mark.parametrize("kind", ["mcap", "rrd"])
+def test_a_recording_is_shown_on_a_page_until_ctrl_c(recording, tmp_path, kind):
+    file = recording
+    if kind == "rrd":
+        file = tmp_path / "drive.rrd"
+        assert main(["view", str(recording), "--save", str(file)]) == 0
+    command = [sys.executable, "-m", "runtime.cli", "view", str(file), "--web", "--port", "29884"]
+    with subprocess.Popen([*command, "--web-port", "29098"], stdout=subprocess.PIPE, text=True) as process:
+        said = process.stdout.readline()
+        assert said.startswith("look at http://127.0.0.1:29098/?url=")
+        began = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(5) == 130
+        assert time.monotonic() - began < 2.0
+    assert not viewer_server.listens(29884)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["view", "--web", "--save", "x.rrd"], "choose one"),
+        (["view", "nowhere.mcap", "--save", "x.rrd"], "nowhere.mcap: No such file"),
+        (["view", "nowhere.rrd", "--web"], "nowhere.rrd: No such file"),
+        (["view", "--memory", "1"], "memory_mb = 1"),
+        (["view", "--robot", "nobody", "--web"], "nobody"),
+        (["view", "--robot", "nobody", "--connect", "10.0.0.7", "--web"], "not paired with 'nobody'"),
+    ],
+)
+def test_a_wrong_wish_is_one_clear_line(arguments, message, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    assert main(arguments) not in (0, 130)
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not os.path.exists("x.rrd")
+
+
+def test_a_file_that_exists_is_not_overwritten(recording, tmp_path, capsys):
+    file = tmp_path / "drive.rrd"
+    file.write_text("mine")
+    assert main(["view", str(recording), "--save", str(file)]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert file.read_text() == "mine"
