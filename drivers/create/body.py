@@ -163,7 +163,8 @@ class Body:
         elif op == Op.BAUD:
             self.baud = next((rate for rate, code in BAUD_CODES.items() if code == data[0]), self.baud)
         elif op == Op.STREAM:
-            self._stream_ids, self._paused = tuple(data[1:]), False
+            # Of a list that was cut and filled with something else, what is no packet is left out.
+            self._stream_ids, self._paused = tuple(i for i in data[1:] if i in stream.SIZES), False
             self._next_frame_ns = now_ns
         elif op == Op.PAUSE_STREAM:
             self._paused = data[0] == 0

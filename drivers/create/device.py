@@ -16,6 +16,7 @@ from drivers.create.stream import StreamDecoder, Telemetry
 from drivers.errors import SilentError, TransportError
 
 _BACKLOG_BYTES = 65_536
+_TRIES = (1, 3)
 _NOT_THERE = (
     "no data from the robot: is it on? Is model {model} right ({baud} baud; tried {tried})? "
     "Is only one of its two connectors used? If its light is on, take the battery out and put it back"
@@ -138,11 +139,13 @@ class Create:
         """
         self.close()
         rates = dict.fromkeys((self._config.line_baud, 19200, 57600, 115200))
-        for rate in rates:
-            if (first := self._connect_at(rate)) is not None:
-                self.connections += 1
-                return first
-            self._abandon()
+        # Once around quickly: a robot that drives on at another rate has to be stopped soon.
+        for tries in _TRIES:
+            for rate in rates:
+                if (first := self._connect_at(rate, tries)) is not None:
+                    self.connections += 1
+                    return first
+                self._abandon()
         tried = ", ".join(map(str, rates))
         raise SilentError(
             f"{self._config.path}: "
@@ -178,7 +181,7 @@ class Create:
 
     def enter_passive(self) -> None:
         """Stand and ask for Passive mode; the list is sent again, because Start may end the stream."""
-        self._need().write(protocol.STAND + protocol.start() + self._stream_list)
+        self._need().write(protocol.RESYNCHRONISE + self._stream_list)
 
     def close(self) -> None:
         """Leave the robot standing in Passive mode, so that it can charge, and give the port back."""
@@ -204,20 +207,21 @@ class Create:
             self._totals[name] = self._totals.get(name, 0) + n
         self._decoder = StreamDecoder(self._decoder.ids)
 
-    def _connect_at(self, rate: int) -> Telemetry | None:
-        first = self._knock(rate, self._config.packets if rate != 19200 else stream.SHORT_PACKETS)
+    def _connect_at(self, rate: int, tries: int) -> Telemetry | None:
+        packets = self._config.packets if rate >= self._config.line_baud else stream.SHORT_PACKETS
+        first = self._knock(rate, packets, tries)
         if first is None or rate == self._config.line_baud:
             return first
         # The robot was moved to another rate, by three pulses on a line or by a program before us.
         self._need().write(protocol.baud(self._config.line_baud))
         self._wait(0.1)
         self._abandon()
-        if (back := self._knock(self._config.line_baud, self._config.packets)) is not None:
+        if (back := self._knock(self._config.line_baud, self._config.packets, tries)) is not None:
             return back
         self._abandon()
-        return self._knock(rate, stream.SHORT_PACKETS)
+        return self._knock(rate, packets, tries)
 
-    def _knock(self, rate: int, packets: tuple[int, ...]) -> Telemetry | None:
+    def _knock(self, rate: int, packets: tuple[int, ...], tries: int) -> Telemetry | None:
         """Open the port at a rate and ask for the stream; None if no good frame comes."""
         self.baud = rate
         self._decoder = StreamDecoder(packets)
@@ -227,7 +231,7 @@ class Create:
         self._wait(0.05)
         line.write(protocol.RESYNCHRONISE)
         self._wait(0.1)
-        for _ in range(3):
+        for _ in range(tries):
             line.write(protocol.start() + self._stream_list)
             end = time.monotonic() + 0.5
             while (left_s := end - time.monotonic()) > 0.0:

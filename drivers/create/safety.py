@@ -7,6 +7,7 @@ armed only by an operator whose stick is at zero; whatever goes wrong disarms it
         any --emergency stop--> STOPPED --reset, stick at zero--> DISARMED
 """
 
+from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 
@@ -18,6 +19,8 @@ from drivers.create.stream import Telemetry
 NEUTRAL_NS = 100_000_000
 """For so long the stick must have been at zero before the robot can be armed."""
 _PASSIVE_AGAIN_NS = 200_000_000
+_REMEMBERED_NS = 500_000_000
+_MISHEARD_MMPS = 20
 
 
 class State(Enum):
@@ -62,6 +65,7 @@ class Safety:
         self._arming_ns = 0
         self._overcurrent_ns: int | None = None
         self._low_battery_ns: int | None = None
+        self._told: deque[tuple[int, int]] = deque()
         self._passive_ns: int | None = 0
         """When Passive was asked for last; None if it is to be asked for at once."""
 
@@ -101,8 +105,10 @@ class Safety:
         if telemetry.overcurrents:
             self._overcurrent_ns = now_ns
         self._throttle.sense(telemetry.bumps)
-        if self.state in (State.ARMING, State.ARMED) and (cause := _hazard(telemetry)):
-            self._disarm(cause)
+        if self.state in (State.ARMING, State.ARMED):
+            misheard = "the robot misheard a command" if self._too_fast(telemetry, now_ns) else None
+            if cause := _hazard(telemetry) or misheard:
+                self._disarm(cause)
 
     def fail(self, reason: str) -> None:
         """Disarm because of something that only the owner knows: a lost line, a lost watchdog."""
@@ -125,7 +131,9 @@ class Safety:
             assert self._input is not None  # an input armed the robot
             wanted = (self._input.speed_mps, self._input.turn_rate_radps)
             speed, turn = self._throttle.next(*wanted, min(since_ns * 1e-9, 0.1), now_ns)
-            return Decision(*wheel_speeds(speed, turn, self._wheel_base_m))
+            left, right = wheel_speeds(speed, turn, self._wheel_base_m)
+            self._told.append((now_ns, max(abs(left), abs(right))))
+            return Decision(left, right)
         return self._rest(now_ns)
 
     # ---- what others want to know ----
@@ -165,6 +173,14 @@ class Safety:
         age_ns = now_ns - self._telemetry_ns
         return self._telemetry is not None and age_ns <= _ns(self._config.telemetry_timeout_s)
 
+    def _too_fast(self, telemetry: Telemetry, now_ns: int) -> bool:
+        """Whether the robot says it was told more than it was: a byte was lost on the way to it."""
+        while self._told and now_ns - self._told[0][0] > _REMEMBERED_NS:
+            self._told.popleft()
+        fastest = max((speed for _, speed in self._told), default=0)
+        said = max(abs(telemetry.right_mmps or 0), abs(telemetry.left_mmps or 0))
+        return self.state is State.ARMED and said > fastest + _MISHEARD_MMPS
+
     def _neutral_for(self, now_ns: int) -> bool:
         return self._neutral_since_ns is not None and now_ns - self._neutral_since_ns >= NEUTRAL_NS
 
@@ -192,6 +208,9 @@ class Safety:
             return "too much current in a motor"
         if self._battery_empty(now_ns):
             return "battery empty"
+        if (mode := self.mode()) not in (Mode.OFF, Mode.PASSIVE):
+            # A Passive robot that says it is in Safe mode would seem armed while it is not.
+            return f"mode {mode} is reported where Passive (1) is due; one too high needs mode_offset: 1"
         return None if self._neutral_for(now_ns) else "the stick was not at zero"
 
     # ---- from state to state ----
@@ -219,7 +238,7 @@ class Safety:
 
     def _rest(self, now_ns: int) -> Decision:
         """Stand, and have the robot in Passive mode, by its own word."""
-        listening = self.mode() in (Mode.SAFE, Mode.FULL)
+        listening = self.mode() not in (None, Mode.PASSIVE)
         waited = self._passive_ns is not None and now_ns - self._passive_ns > _PASSIVE_AGAIN_NS
         if self._passive_ns is None or (listening and waited):
             self._passive_ns = now_ns

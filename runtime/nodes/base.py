@@ -16,7 +16,7 @@ from drivers.create.guard import Guard
 from drivers.create.limits import SafetyConfig
 from drivers.create.safety import Safety, State
 from drivers.create.stream import PACKETS, Telemetry
-from drivers.errors import DeviceError
+from drivers.errors import DeviceError, SilentError
 from drivers.transport import SerialStream
 from runtime import messages
 from runtime.nodes.battery import battery_message
@@ -28,7 +28,8 @@ PUBLISHES: tuple[str, ...] = ("battery", "bumper")
 
 _TURN_S = 0.02
 _WRITE_TIMEOUT_S = 0.2
-_BACK_OFF_S = (0.5, 1.0, 2.0, 5.0)
+_BACK_OFF_S = (0.0, 0.5, 1.0, 2.0, 5.0)
+_SILENT_NS = 600_000_000
 _SECOND_NS = 1_000_000_000
 _FAULTLESS = ("not armed", "no input", "emergency stop reset")
 
@@ -84,6 +85,7 @@ class _Base:
         self._told: tuple[State, str] | None = None
         self._reported_ns = self._charged_ns = 0
         self._telemetry: Telemetry | None = None
+        self._telemetry_ns = 0
 
     def run(self) -> int:
         while not self._port.stopping:
@@ -115,6 +117,7 @@ class _Base:
         self._guard.lend(self._create.fileno())
         self._inputs.drain()  # from before the robot was there
         self._failures = 0
+        self._telemetry_ns = self._port.clock.now_ns()
         self._safety.fail("not armed yet")
         self._port.ready()
 
@@ -139,8 +142,12 @@ class _Base:
         telemetry = self._create.receive(_TURN_S)
         now_ns = self._port.clock.now_ns()
         if telemetry is not None:
-            self._telemetry = telemetry
+            self._telemetry, self._telemetry_ns = telemetry, now_ns
             self._safety.sense(telemetry, now_ns)
+        elif now_ns - self._telemetry_ns > _SILENT_NS:
+            raise SilentError(
+                f"no data from the robot for {_SILENT_NS / 1e9:g} s: off, reset, or another rate"
+            )
         for received in self._inputs.drain():
             self._hear(received)
         if not self._guard.awake and self._safety.state is not State.STOPPED:
