@@ -253,7 +253,7 @@ class Scene:
         hits = transform(map_t_laser, used)
         ellipse = outline(*self._pose) if self._pose is not None else np.zeros((0, 2))
         blind = np.zeros((0, 2))
-        if self._tracking.startswith("DEGENERATE"):
+        if self._tracking == "DEGENERATE":
             blind = unseen(map_t_laser, motion.covariance)
 
         def draw(canvas: Canvas) -> None:
@@ -281,8 +281,9 @@ class Scene:
     def _paint_state(self) -> None:
         stamp_ns = self._now_ns
         status = status_of(self._robot, self._vitals)
-        if status.tracking != self._tracking:
-            self._tracking = word = status.tracking
+        word = status.tracking.partition(" ")[0]
+        if word != self._tracking:
+            self._tracking = word
             self._at(f"tracking {self._notes}", stamp_ns, lambda c: c.state("state/tracking", word))
             self._notes += 1
         if self._due("rates", stamp_ns) and status.rates_hz:

@@ -27,6 +27,10 @@ _BUMPS = {"free": (90, 100, 110), "bumped": (214, 40, 40), "wheel drop": (245, 1
 # Heights over the grid; closer together they flicker.
 _Z_RAYS, _Z_PARTICLES, _Z_PATH, _Z_HITS, _Z_ELLIPSE, _Z_LASER = 0.05, 0.08, 0.11, 0.14, 0.17, 0.20
 _PLOT_S = 120
+_LEGEND = (
+    "From above: red way, blue points of the match, pale other rays, purple particles, "
+    "green 95 %, orange unseen direction"
+)
 _SERIES = {
     "latency/scan_to_pose": ("first ray to pose", _PATH),
     "latency/scan_to_map": ("last scan in it to map", _RAYS),
@@ -198,7 +202,7 @@ class Screen:
         )
         grey = [BACKGROUND] * 3
         view = rrb.Spatial3DView(
-            origin="/world", name="Map from above", background=grey, line_grid=False, eye_controls=eye
+            origin="/world", name=_LEGEND, background=grey, line_grid=False, eye_controls=eye
         )
         return rrb.Blueprint(
             rrb.Horizontal(side, view, column_shares=[1, 3]),

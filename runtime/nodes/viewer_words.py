@@ -13,10 +13,6 @@ _MEANINGS = {
     "LOST": "The scan fits nowhere. Drive slowly, back to where the map is dark and sharp.",
     "": "No match yet.",
 }
-_LEGEND = (
-    "red: the way so far · blue: points that the match used · pale: the other rays · "
-    "purple: the guesses of the filter · green: here with 95 %"
-)
 
 
 @dataclass(slots=True)
@@ -49,4 +45,4 @@ def words_of(status: Status, base: Base, matcher_text: str) -> str:
         for process in status.processes
         if process.level != "ok"
     ]
-    return "\n\n".join([*lines, _LEGEND])
+    return "\n\n".join(lines)
