@@ -107,14 +107,21 @@ class _Strict(yaml.SafeLoader):
 def load_yaml(path: Path) -> Any:
     """Read a YAML file; raises ConfigError with the line where it is broken."""
     try:
-        return yaml.load(path.read_text(encoding="utf-8"), Loader=_Strict)
+        text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    return parse_yaml(text, str(path))
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """Read YAML that came from elsewhere; raises ConfigError with the line where it is broken."""
+    try:
+        return yaml.load(text, Loader=_Strict)
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 0
-        raise ConfigError(f"{path}:{line}: not YAML: {error.problem}") from error
+        raise ConfigError(f"{where}:{line}: not YAML: {error.problem}") from error
     except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: not YAML: {error}") from error
+        raise ConfigError(f"{where}: not YAML: {error}") from error
 
 
 def load(cls: type[T], path: Path, section: str | None = None) -> T:

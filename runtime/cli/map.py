@@ -26,8 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "log", type=Path, help="tinySLAM .dat, CARMEN .clf/.log (.gz, .bz2), Wean text, ROS bag or MCAP"
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="results folder (default results/NAME)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the random numbers (default 0)")
-    parser.add_argument("--config", type=Path, metavar="F", help="YAML over the defaults")
+    parser.add_argument("--seed", type=int, metavar="N", help="of random numbers (default 0, or as recorded)")
+    parser.add_argument("--config", type=Path, metavar="F", help="YAML over the defaults (or as recorded)")
     parser.add_argument("--topic", metavar="T", help="which LaserScan topic of a bag")
     parser.add_argument("--json", action="store_true", help="machine-readable, one object")
 
@@ -37,23 +37,24 @@ def run(args: argparse.Namespace) -> int:
     from runtime.formats.logs import open_log
     from runtime.results import check_free
 
-    if not 0 <= args.seed < MAX_SEED:
+    if args.seed is not None and not 0 <= args.seed < MAX_SEED:
         raise ConfigError(f"--seed = {args.seed}, must be in [0, 2^63)")
     log = open_log(args.log, args.topic)
-    config = _config(args.config)
+    seed = args.seed if args.seed is not None else log.run_seed or 0
+    config = _config(args.config, log)
     from runtime.nodes.offline import OfflineRun, default_folder
 
     out = args.out or default_folder(args.log)
     check_free(out)
     for notice in log.notices + log.losses:
         print(f"hallway map: {notice}", file=sys.stderr)
-    offline = OfflineRun(config, args.seed)
+    offline = OfflineRun(config, seed)
     with _stop_on_sigint() as stopping, Progress(len(log), log.geometry.period_s, args.json) as progress:
         _feed(offline, log, progress, stopping)
     interrupted = progress.done < len(log)
     if progress.done == 0:
         return 130
-    report = _save(offline, log, out, args, interrupted)
+    report = {"seed": seed, **_save(offline, log, out, args, interrupted)}
     report |= {"seconds": round(progress.elapsed_s, 3), "scans_per_s": round(progress.scans_per_s, 1)}
     report["times_real_time"] = round(progress.times_real_time, 2)
     _say(report, args.json)
@@ -65,11 +66,13 @@ def run(args: argparse.Namespace) -> int:
     return int(DataLostError.exit_code) if log.losses else 0
 
 
-def _config(path: Path | None) -> "OfflineConfig":
+def _config(path: Path | None, log: "LaserLog") -> "OfflineConfig":
     from runtime.config import load
-    from runtime.nodes.offline import OfflineConfig
+    from runtime.nodes.offline import OfflineConfig, recorded_config
 
-    return OfflineConfig() if path is None else load(OfflineConfig, path)
+    if path is not None:
+        return load(OfflineConfig, path)
+    return recorded_config(log.run_config, f"{log.path}: config.yaml") if log.run_config else OfflineConfig()
 
 
 def _feed(offline: "OfflineRun", log: "LaserLog", progress: Progress, stopping: list[bool]) -> None:
@@ -91,7 +94,7 @@ def _save(
     save(out, result)
     if args.out is None:
         link_latest(out)
-    return {"out": str(out), "seed": args.seed, **result.metrics}
+    return {"out": str(out), **result.metrics}
 
 
 def _say(report: dict[str, Any], as_json: bool) -> None:

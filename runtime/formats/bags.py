@@ -85,6 +85,8 @@ def read_bag(path: Path, topic: str | None = None) -> LaserLog:
         notices=stamp_notices(path, stamps_ns) + reading_notices(path, odd, first_odd),
         read=_ranges(source, chosen),
         losses=source.losses(chosen),
+        run_seed=source.state.run_seed if isinstance(source, _McapFile) else None,
+        run_config=source.state.run_config if isinstance(source, _McapFile) else "",
     )
 
 
@@ -177,14 +179,14 @@ class _McapFile:
         for message in reader.messages():
             self._topics[message.channel.topic] = message.channel.msgtype
             self._gaps.see(message)
-        self._losses = reader.state.losses()
+        self.state = reader.state
         self.clean = reader.state.library == LIBRARY
 
     def topics(self) -> dict[str, str]:
         return self._topics
 
     def losses(self, topic: str) -> tuple[str, ...]:
-        told = list(self._losses)
+        told = self.state.losses()
         if missing := self._gaps.missing.get(topic, 0):
             told.append(f"{missing} scans of {topic} were never recorded, by its sequence numbers")
         return tuple(f"{self._path}: {one}" for one in told)

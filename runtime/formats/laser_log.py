@@ -57,6 +57,10 @@ class LaserLog:
     """What a reader should know and may ignore: odd values that were understood."""
     read: Callable[[], Iterator[NDArray[np.float32]]]
     """Start reading the ranges from the first scan."""
+    run_seed: int | None = None
+    """Of the run that was recorded."""
+    run_config: str = ""
+    """YAML of the resolved configuration of the run that was recorded."""
     losses: tuple[str, ...] = ()
     """What belongs into the log and is not there: a cut file, scans that were never recorded."""
 

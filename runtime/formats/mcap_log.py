@@ -152,6 +152,17 @@ class ReadState:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)
 
+    @property
+    def run_seed(self) -> int | None:
+        """Seed of the recorded run."""
+        seed = self.metadata.get("hallway", {}).get("seed", "")
+        return int(seed) if seed.isdigit() else None
+
+    @property
+    def run_config(self) -> str:
+        """YAML of the resolved configuration of the recorded run; empty if there is none."""
+        return self.attachments.get("config.yaml", b"").decode("utf-8", errors="replace")
+
     def troubles(self) -> list[str]:
         """Say what is wrong with the file; nothing for a whole one."""
         if self.complete and not self.indexed:

@@ -33,6 +33,26 @@ class OfflineConfig:
             raise ValueError(f"laser_in_base = {self.laser_in_base}, must be three finite numbers")
 
 
+def recorded_config(text: str, where: str) -> OfflineConfig:
+    """Return the configuration under which a recorded run mapped, from the YAML in its recording.
+
+    Raises:
+        ConfigError: A parameter in it does not exist here; the text names it.
+    """
+    from runtime.config import build, parse_yaml
+
+    data = parse_yaml(text, where)
+    nodes = data.get("nodes") if isinstance(data, dict) else None
+    if not isinstance(nodes, dict):
+        return OfflineConfig()
+    parts: dict[str, Any] = {}
+    for node, part in (("matcher", "odometry"), ("mapper", "mapping")):
+        config = nodes.get(node)
+        if isinstance(config, dict) and part in config:
+            parts[part] = config[part]
+    return OfflineConfig(slam=build(SlamConfig, parts, f"{where}: nodes"))
+
+
 class OfflineRun:
     """Feeds scans to the pipeline and keeps what the results need."""
 

@@ -12,6 +12,8 @@ from runtime.results import to_json
 
 SUBSCRIBES: tuple[str, ...] = ("pose",)
 PUBLISHES: tuple[str, ...] = ("scan", "truth", "battery", "bumper", "clock")
+LEAD_S = 0.5
+"""Time for the listeners to find this process, beyond being ready."""
 PATIENCE_S = 10.0
 """How long the pose of the last scan is waited for."""
 
@@ -39,6 +41,9 @@ def run(port: Port, config: Config) -> int:
     recorded = Recorded([path], config.replay)
     poses = port.subscribe("pose")
     port.ready()
+    began = time.monotonic()
+    while not port.stopping and time.monotonic() - began < LEAD_S:
+        time.sleep(0.02)
     control = Control(stopping=lambda: port.stopping)
     played = play(
         recorded,

@@ -1,0 +1,166 @@
+"""`hallway replay FILE --map`: a recording through the live matcher and mapper, in processes as on the robot.
+
+What was lost on the way is found afterwards, by holding the stamps of the result against those sent.
+"""
+
+import argparse
+import json
+import signal
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from runtime.errors import ConfigError, DataLostError, HallwayError
+
+if TYPE_CHECKING:
+    from runtime.graph import Graph
+    from runtime.replay import Recorded, ReplayConfig
+    from runtime.run import Run
+
+MOST_ROWS = 20
+_TURN_S = 0.05
+
+
+def map_live(args: argparse.Namespace, config: "ReplayConfig") -> int:
+    """Play, map and compare; 0 when every scan has its pose, 4 and a table when not, 130 after Ctrl-C."""
+    from runtime.config import to_yaml
+    from runtime.replay import Recorded
+    from runtime.results import check_free, link_latest
+
+    if len(args.files) != 1 or config.loop or args.topics or args.paused:
+        raise ConfigError("--map: plays the scans of one file once; no --loop, --topics or --paused")
+    recorded = Recorded(args.files, config)
+    if "scan" not in recorded.topics:
+        raise ConfigError(f"{args.files[0]}: holds no scan; it holds {', '.join(recorded.topics)}")
+    out = args.out or Path("results") / f"{args.files[0].name.split('.')[0]}-live"
+    check_free(out)
+    graph = _graph(args.files[0].absolute(), config, recorded, args.robot)
+    with tempfile.TemporaryDirectory(prefix="hallway-replay-") as folder:
+        file = Path(folder) / "replay.yaml"
+        file.write_text(to_yaml(graph), encoding="utf-8")
+        code = _run(file, out, recorded, quiet=args.json)
+    if args.out is None:
+        link_latest(out)
+    return _report(out, recorded, code, args.json)
+
+
+def _graph(file: Path, config: "ReplayConfig", recorded: "Recorded", robot: str | None) -> dict[str, Any]:
+    from runtime.config import parse_yaml, plain
+
+    nodes: dict[str, Any] = {}
+    text = recorded.attachments.get("config.yaml", b"").decode("utf-8", errors="replace")
+    if text:
+        data = parse_yaml(text, f"{file}: config.yaml")
+        nodes = data.get("nodes", {}) if isinstance(data, dict) else {}
+    seed = recorded.metadata.get("hallway", {}).get("seed", "")
+    replay = plain(config) | {"topics": ["scan"]}
+    return {
+        "robot": robot or "replay",
+        "seed": int(seed) if seed.isdigit() else 0,
+        "nodes": {
+            "mapper": {"module": "mapper", "config": nodes.get("mapper") or {}},
+            "matcher": {"module": "matcher", "after": ["mapper"], "config": nodes.get("matcher") or {}},
+            "player": {
+                "module": "player",
+                "after": ["mapper", "matcher"],
+                "restart": "never",
+                "config": {"file": str(file), "replay": replay},
+            },
+        },
+    }
+
+
+def _run(file: Path, out: Path, recorded: "Recorded", quiet: bool) -> int:
+    """Run the graph until the player has ended; return 0, 130, or why it failed."""
+    import shutil
+
+    from runtime import graph as graphs
+    from runtime import rundir
+    from runtime.bus_zenoh import ZenohBus
+    from runtime.results import provenance
+    from runtime.run import Run, collect
+
+    graph = graphs.load(file)
+    if out.is_dir():
+        shutil.rmtree(out)
+    out.mkdir(parents=True)
+    with rundir.claimed(graph.robot) as run_dir:
+        live = Run(graph, file, run_dir, out, open_bus=ZenohBus, on_event=_teller(quiet))
+        try:
+            interrupted = _drive(live)
+        finally:
+            live.close()
+        failed = live.supervisor.failed
+        code = (failed.exit_code or 1) if failed is not None else 130 if interrupted else 0
+        about = {**provenance(graph.seed), **live.summary(), "exit_code": code}
+        collect(out, list(graph.nodes), about, _config(graph))
+    if failed is not None and failed.reasons:
+        print(f"hallway replay: {failed.name}: {failed.reasons[-1]}", file=sys.stderr)
+    return code
+
+
+def _teller(quiet: bool) -> Any:
+    def tell(event: Any) -> None:
+        if not quiet:
+            print(f"  {event.node}: {event.text}", file=sys.stderr, flush=True)
+
+    return tell
+
+
+def _config(graph: "Graph") -> dict[str, Any]:
+    nodes = {name: node.config for name, node in graph.nodes.items()}
+    return {"robot": graph.robot, "seed": graph.seed, "nodes": nodes}
+
+
+def _drive(live: "Run") -> bool:
+    """Turn until everything has ended; return whether a person ended it."""
+    from runtime.child import State
+
+    asked: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda n, _: asked.append(n)) for number in numbers}
+    try:
+        while not live.supervisor.over:
+            live.step()
+            player = live.supervisor.children["player"]
+            if asked or player.state is State.ENDED or live.supervisor.idle:
+                live.supervisor.stop()
+            time.sleep(_TURN_S)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    return bool(asked)
+
+
+def _report(out: Path, recorded: "Recorded", code: int, as_json: bool) -> int:
+    from runtime.formats.tum import read_tum, tum_stamp
+
+    played_file, result_file = out / "played.json", out / "trajectory.tum"
+    if code not in (0, 130) or not played_file.is_file():
+        raise HallwayError(f"{out}: the run left no account of what was played; see {out}/logs")
+    sent = json.loads(played_file.read_text(encoding="utf-8"))["scan_stamps_ns"]
+    mapped = set(read_tum(result_file).stamps_ns.tolist()) if result_file.is_file() else set()
+    # TUM prints microseconds.
+    missing = [(n, s) for n, s in enumerate(sent, start=1) if (s + 500) // 1000 * 1000 not in mapped]
+    report = {
+        "out": str(out),
+        "sent": len(sent),
+        "mapped": len(sent) - len(missing),
+        "missing": [{"scan": n, "stamp": tum_stamp(s)} for n, s in missing],
+        "losses": recorded.losses,
+    }
+    if as_json:
+        print(json.dumps(report))
+    else:
+        print(f"{out}/: {report['mapped']} of {report['sent']} scans mapped")
+        for n, s in missing[:MOST_ROWS]:
+            print(f"{'scan':>8} {n:>7}  {tum_stamp(s)}  sent, and not in the map")
+        if len(missing) > MOST_ROWS:
+            print(f"{'':>8} and {len(missing) - MOST_ROWS} more")
+        for loss in recorded.losses:
+            print(f"hallway replay: {loss}", file=sys.stderr)
+    if code == 130:
+        return 130
+    return int(DataLostError.exit_code) if missing or recorded.losses else 0
