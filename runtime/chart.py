@@ -1,0 +1,130 @@
+"""Small charts as SVG text: lines over time, a strip of states, a cloud of poses; bounded in size."""
+
+import html
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+WIDTH, HEIGHT = 960, 150
+_LEFT, _RIGHT, _TOP, _BOTTOM = 52, 8, 26, 22
+_BINS = 600
+_INKS = ("#d62828", "#2663d6", "#168754")
+
+
+def lines(
+    x: NDArray[np.float64],
+    series: Mapping[str, ArrayLike],
+    title: str,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    unit: str = "s",
+) -> str:
+    """Draw one or more values over rising x (N,); gaps where they are not finite.
+
+    Of many values in one place the least and the greatest are drawn, so that no peak is lost.
+    """
+    values = {name: np.asarray(value, dtype=np.float64) for name, value in series.items()}
+    finite = np.concatenate([value[np.isfinite(value)] for value in values.values()])
+    bottom = low if low is not None else (float(finite.min()) if finite.size else 0.0)
+    top = high if high is not None else (float(finite.max()) if finite.size else 1.0)
+    top = top if top > bottom else bottom + 1.0
+    body = [_frame(title, x, bottom, top, unit)]
+    for (name, value), ink in zip(values.items(), _INKS, strict=False):
+        for stretch in _stretches(x, value):
+            path = " ".join(f"{_x(a, x):.1f},{_y(b, bottom, top):.1f}" for a, b in stretch)
+            body.append(f'<polyline fill="none" stroke="{ink}" stroke-width="1.2" points="{path}"/>')
+        if len(values) > 1:
+            place = WIDTH - _RIGHT - 130 * (len(values) - list(values).index(name))
+            body.append(f'<text x="{place}" y="16" fill="{ink}" font-size="13">{html.escape(name)}</text>')
+    return _svg(HEIGHT, body)
+
+
+def strip(x: NDArray[np.float64], states: Sequence[str], colours: Mapping[str, str]) -> str:
+    """Draw which state held when, as a coloured bar."""
+    words = np.asarray(states)
+    edges = np.flatnonzero(words[1:] != words[:-1]) + 1
+    begins, ends = np.r_[0, edges], np.r_[edges, len(words) - 1]
+    body = []
+    for begin, end in zip(begins, ends, strict=True):
+        at, until = round(_x(x[begin], x)), round(_x(x[end], x))
+        colour = colours.get(str(words[begin]), "#888")
+        # A single lost scan of a long run must still be seen.
+        width = max(until - at, 1)
+        body.append(f'<rect x="{at}" y="4" width="{width}" height="16" fill="{colour}"/>')
+    return _svg(24, list(dict.fromkeys(body)))  # of many in one place only one is drawn
+
+
+def cloud(poses: NDArray[np.float64], title: str) -> str:
+    """Draw poses (P, 3) as strokes, with equal scales, x to the right and y up."""
+    size = 320
+    centre = poses[:, :2].mean(axis=0)
+    reach = max(float(np.abs(poses[:, :2] - centre).max()), 0.05) * 1.3
+    scale = (size / 2 - 20) / reach
+    body = [f'<text x="8" y="16" font-size="13">{html.escape(title)}</text>']
+    for x, y, yaw in poses:
+        a, b = size / 2 + (x - centre[0]) * scale, size / 2 - (y - centre[1]) * scale
+        c, d = a + 12 * np.cos(yaw), b - 12 * np.sin(yaw)
+        body.append(f'<path d="M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" stroke="#8c3caa" stroke-opacity=".6"/>')
+        body.append(f'<circle cx="{a:.1f}" cy="{b:.1f}" r="2" fill="#8c3caa"/>')
+    bar = 10.0 ** np.floor(np.log10(reach))
+    end = 8 + bar * scale
+    body.append(f'<path d="M8 {size - 10}H{end:.1f}" stroke="#464e58" stroke-width="2"/>')
+    body.append(f'<text x="{end + 6:.1f}" y="{size - 5}" font-size="13">{bar:g} m</text>')
+    return _svg(size, body, size)
+
+
+def _stretches(x: NDArray[np.float64], value: NDArray[np.float64]) -> list[list[tuple[float, float]]]:
+    """Split at what is not finite, and thin to the extremes of each bin."""
+    if len(x) == 0:
+        return []
+    span = max(float(x[-1] - x[0]), 1e-9)
+    bins = np.minimum(((x - x[0]) / span * _BINS).astype(int), _BINS - 1)
+    found: list[list[tuple[float, float]]] = []
+    good = np.isfinite(value)
+    edges = np.flatnonzero(np.r_[True, good[1:] != good[:-1], True])
+    for begin, end in itertools.pairwise(edges):
+        if not good[begin]:
+            continue
+        points: list[tuple[float, float]] = []
+        inner = np.flatnonzero(np.r_[True, np.diff(bins[begin:end]) != 0, True]) + begin
+        for first, last in itertools.pairwise(inner):
+            lowest = first + int(np.argmin(value[first:last]))
+            highest = first + int(np.argmax(value[first:last]))
+            for at in sorted({lowest, highest}):
+                points.append((float(x[at]), float(value[at])))
+        found.append(points)
+    return found[: 2 * _BINS]
+
+
+def _x(value: float, x: NDArray[np.float64]) -> float:
+    span = max(float(x[-1] - x[0]), 1e-9) if len(x) else 1.0
+    return _LEFT + (WIDTH - _LEFT - _RIGHT) * (float(value) - float(x[0])) / span
+
+
+def _y(value: float, bottom: float, top: float) -> float:
+    share = min(max((value - bottom) / (top - bottom), 0.0), 1.0)
+    return HEIGHT - _BOTTOM - (HEIGHT - _TOP - _BOTTOM) * share
+
+
+def _frame(title: str, x: NDArray[np.float64], bottom: float, top: float, unit: str) -> str:
+    floor, ceiling = HEIGHT - _BOTTOM, _TOP
+    text = 'font-size="12" fill="#5a6470"'
+    first, last = (float(x[0]), float(x[-1])) if len(x) else (0.0, 0.0)
+    return (
+        f'<text x="{_LEFT}" y="16" font-size="13">{html.escape(title)}</text>'
+        f'<path d="M{_LEFT} {ceiling}V{floor}H{WIDTH - _RIGHT}" fill="none" stroke="#c4cad0"/>'
+        f'<text x="{_LEFT - 6}" y="{ceiling + 8}" text-anchor="end" {text}>{top:.3g}</text>'
+        f'<text x="{_LEFT - 6}" y="{floor}" text-anchor="end" {text}>{bottom:.3g}</text>'
+        f'<text x="{_LEFT}" y="{HEIGHT - 6}" {text}>{first:.0f} {unit}</text>'
+        f'<text x="{WIDTH - _RIGHT}" y="{HEIGHT - 6}" text-anchor="end" {text}>{last:.0f} {unit}</text>'
+    )
+
+
+def _svg(height: int, body: Sequence[str], width: int = WIDTH) -> str:
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" '
+        f'height="{height}" font-family="system-ui, sans-serif">{"".join(body)}</svg>'
+    )

@@ -1,0 +1,168 @@
+import html.parser
+import re
+
+import numpy as np
+import pytest
+
+from runtime import chart
+from runtime.report import STATES, ReportData, page, write_report
+
+
+class Reader(html.parser.HTMLParser):
+    """Checks that every element that opens closes, and keeps text and addresses."""
+
+    VOID = {"meta", "img", "br"}
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.text, self.addresses = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.addresses += [value for name, value in attrs if name in ("src", "href")]
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        pass
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def read(text):
+    reader = Reader()
+    reader.feed(text)
+    assert reader.open == []
+    return reader
+
+
+def run(count=200, **changes):
+    t = np.arange(count)
+    values = {
+        "title": "a <drive> & more",
+        "probability": np.zeros((40, 60), dtype=np.float32),
+        "resolution_m": 0.05,
+        "origin_m": (0.0, 0.0),
+        "stamps_ns": 1_000_000_000 + 100_000_000 * t,
+        "map_t_laser": np.column_stack((0.01 * t, np.ones(count), np.zeros(count))),
+        "states": ["TRACKING"] * count,
+        "score": np.full(count, 0.9),
+        "points": np.full(count, 130),
+        "sigma_m": np.full((count, 2), 0.004),
+        "n_eff": np.full(count, 70.0),
+        "resampled": t % 50 == 0,
+        "particles": np.zeros((10, 3)),
+        "lineages": np.arange(1, 20),
+        "facts": {"version": "0.1.0"},
+        "config": "slam: {}\n",
+    }
+    return ReportData(**(values | changes))
+
+
+def test_the_page_is_whole_and_needs_nothing_from_elsewhere():
+    reader = read(page(run()))
+    assert reader.addresses
+    assert all(address.startswith("data:image/png;base64,") for address in reader.addresses)
+    assert "script" not in page(run())
+
+
+def test_the_same_run_gives_the_same_bytes(tmp_path):
+    for name in ("a.html", "b.html"):
+        write_report(tmp_path / name, run())
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.html", "b.html"]
+
+
+def test_the_first_line_says_how_it_went():
+    text = " ".join(read(page(run(states=["TRACKING"] * 150 + ["DEGENERATE"] * 50))).text)
+    assert "200 scans in 20 s, 2.0 m driven, 6 m² mapped; 75.0 % TRACKING, 25.0 % DEGENERATE" in text
+
+
+def test_where_the_match_did_not_hold_is_listed_the_longest_first():
+    states = ["TRACKING"] * 200
+    states[20:23] = ["LOST"] * 3
+    states[100:150] = ["DEGENERATE"] * 50
+    text = " ".join(read(page(run(states=states))).text)
+    first = text.index("DEGENERATE from 10.0 to 14.9 s, at (1.0, 1.0) m")
+    assert first < text.index("LOST from 2.0 to 2.2 s, at (0.2, 1.0) m")
+
+
+def test_text_from_outside_is_text_and_no_markup():
+    text = page(run(notices=["<script>alert(1)</script>"], facts={"input": "<b>"}))
+    assert "<script>" not in text
+    assert "&lt;script&gt;" in text
+    assert "<title>a &lt;drive&gt; &amp; more</title>" in text
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_run_of_hardly_a_scan_is_a_page_too(count):
+    read(page(run(count, resampled=np.zeros(count, dtype=bool))))
+
+
+def test_a_run_without_the_rest_is_map_and_states_alone():
+    rest = ("score", "points", "sigma_m", "n_eff", "resampled", "particles", "lineages")
+    reader = read(page(run(**dict.fromkeys(rest))))
+    assert "Map" in reader.text
+    assert "Particles" not in reader.text
+
+
+def test_a_day_of_scans_stays_a_small_page():
+    count = 400_000
+    rng = np.random.default_rng(1)
+    states = rng.choice(STATES, count).tolist()
+    text = page(run(count, states=states, score=rng.random(count), map_t_laser=rng.normal(0, 1, (count, 3))))
+    assert len(text) < 1_000_000
+
+
+def test_an_array_of_another_length_is_named():
+    with pytest.raises(ValueError, match="score has 3 entries, must have 200"):
+        run(score=np.zeros(3))
+
+
+def test_stamps_that_go_backwards_do_not_draw_backwards():
+    stamps_ns = 1_000_000_000 + 100_000_000 * np.arange(200)
+    stamps_ns[100:110] -= 3_000_000_000
+    text = page(run(stamps_ns=stamps_ns))
+    for points in re.findall(r'<polyline[^>]*points="([^"]*)"', text):
+        x = [float(pair.split(",")[0]) for pair in points.split()]
+        assert x == sorted(x)
+
+
+def test_latency_and_losses_are_in_the_page_when_there_were_any():
+    latency = {"match": {"p50": 3.14, "p99": 9.0, "max": 40.0}}
+    text = " ".join(read(page(run(latency_ms=latency, counts={"scan.missed": 7}))).text)
+    assert "match 3.1 9.0 40.0" in text
+    assert "scan.missed 7" in text
+
+
+def polyline(svg):
+    return [
+        [tuple(map(float, pair.split(","))) for pair in points.split()]
+        for points in re.findall(r'points="([^"]*)"', svg)
+    ]
+
+
+def test_a_single_peak_among_many_values_is_drawn():
+    value = np.zeros(100_000)
+    value[54_321] = 1.0
+    (line,) = polyline(chart.lines(np.arange(100_000.0), {"v": value}, "v", low=0.0, high=1.0))
+    assert len(line) <= 1200
+    assert min(y for _, y in line) == pytest.approx(26.0)  # the top of the frame
+
+
+def test_a_gap_stays_a_gap():
+    value = np.ones(100)
+    value[40:60] = np.nan
+    left, right = polyline(chart.lines(np.arange(100.0), {"v": value}, "v"))
+    assert left[-1][0] < right[0][0] - 100
+
+
+def test_a_single_lost_scan_of_a_long_run_is_seen():
+    states = ["TRACKING"] * 100_000
+    states[50_000] = "LOST"
+    svg = chart.strip(np.arange(100_000.0), states, {"TRACKING": "#0f0", "LOST": "#f00"})
+    (width,) = re.findall(r'width="(\d+)" height="16" fill="#f00"', svg)
+    assert int(width) >= 1
