@@ -49,6 +49,8 @@ class RunResult:
     run: Mapping[str, Any] = field(default_factory=dict)
     """Version, seed, input: what is needed to make the run again."""
     caption: str = ""
+    report: str = ""
+    """A page about the run, see `runtime.report`; not written if empty."""
 
 
 def save(folder: Path, result: RunResult) -> None:
@@ -67,6 +69,8 @@ def save(folder: Path, result: RunResult) -> None:
             grid.probability, grid.resolution_m, grid.origin_m, result.path_m, caption=result.caption
         )
         (partial / "map.png").write_bytes(png(picture))
+        if result.report:
+            (partial / "report.html").write_text(result.report, encoding="utf-8")
         (partial / "metrics.json").write_text(to_json(result.metrics), encoding="utf-8")
         (partial / RUN_FILE).write_text(to_json(result.run), encoding="utf-8")
 

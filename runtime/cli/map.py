@@ -108,7 +108,7 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
         f"{report['scans']} scans in {report['seconds']:.1f} s ({report['times_real_time']:.1f} x real time),"
         f" {report['way_m']:.1f} m driven, {report['known_m2']:.0f} m2 mapped; {states}"
     )
-    print(f"{report['out']}/: map.png, map.pgm + map.yaml, trajectory.tum, odometry.tum, metrics.json")
+    print(f"{report['out']}/: map.png, report.html, map.pgm + map.yaml, trajectory.tum, metrics.json")
 
 
 @contextmanager

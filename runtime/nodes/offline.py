@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from processing import se2
 from processing.scan import Scan, end_points
 from processing.slam import Slam, SlamConfig, Step
+from runtime.config import to_yaml
 from runtime.formats.laser_log import LaserLog
 from runtime.formats.map_server import GridMap
+from runtime.nodes.offline_report import Diary
 from runtime.results import RunResult, provenance
 
 
@@ -62,6 +64,7 @@ class OfflineRun:
         self._stamps_ns: list[int] = []
         self._odometry: list[se2.Pose] = []
         self._points_laser: list[NDArray[np.float32]] = []
+        self._diary = Diary()
         self.states: Counter[str] = Counter()
         self.state = ""
 
@@ -72,6 +75,7 @@ class OfflineRun:
         self._odometry.append(step.match.motion.odom_t_laser)
         points_laser, _ = end_points(scan, step.match.motion.twist)
         self._points_laser.append(points_laser.astype(np.float32))
+        self._diary.take(step)
         self.state = step.match.state.name
         self.states[self.state] += 1
         return step
@@ -96,7 +100,17 @@ class OfflineRun:
             "scans": {"in_log": len(log), "used": len(stamps_ns)},
             "notices": [notice.replace(str(log.path), log.path.name) for notice in log.notices + log.losses],
         }
+        report = self._diary.tell(
+            log.path.name,
+            occupancy,
+            np.asarray(stamps_ns, dtype=np.int64),
+            trajectory,
+            facts={name: value for name, value in run.items() if name != "notices"},
+            notices=run["notices"],
+            config=to_yaml(self._config),
+        )
         return RunResult(
+            report=report,
             config=self._config,
             stamps_ns=np.asarray(stamps_ns, dtype=np.int64),
             trajectory=self._of_base(trajectory),

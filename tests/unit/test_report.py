@@ -11,7 +11,7 @@ from runtime.report import STATES, ReportData, page, write_report
 class Reader(html.parser.HTMLParser):
     """Checks that every element that opens closes, and keeps text and addresses."""
 
-    VOID = {"meta", "img", "br"}
+    VOID = ("meta", "img", "br")
 
     def __init__(self):
         super().__init__()
@@ -110,7 +110,7 @@ def test_a_run_without_the_rest_is_map_and_states_alone():
 
 
 def test_a_day_of_scans_stays_a_small_page():
-    count = 400_000
+    count = 100_000
     rng = np.random.default_rng(1)
     states = rng.choice(STATES, count).tolist()
     text = page(run(count, states=states, score=rng.random(count), map_t_laser=rng.normal(0, 1, (count, 3))))

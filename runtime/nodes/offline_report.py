@@ -1,0 +1,81 @@
+"""What the page about a run needs of each step, kept in a few numbers, and the page made of them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.occupancy import OccupancyGrid
+from processing.se2 import Pose
+from processing.slam import Step
+from runtime.report import ReportData, page
+
+
+class Diary:
+    """Takes the steps of a run; `tell` makes the page."""
+
+    def __init__(self) -> None:
+        self.states: list[str] = []
+        self._score: list[float] = []
+        self._points: list[int] = []
+        self._sigma_m: list[NDArray[np.float64]] = []
+        self._n_eff: list[float] = []
+        self._resampled: list[bool] = []
+        self._particles: Pose = np.zeros((0, 3))
+
+    def take(self, step: Step) -> None:
+        """Note one step."""
+        match, mapping = step.match, step.mapping
+        self.states.append(match.state.name)
+        self._score.append(match.score)
+        self._points.append(len(match.points_laser))
+        variances = np.linalg.eigvalsh(match.motion.covariance[:2, :2])
+        sigma_m = np.sqrt(np.maximum(variances, 0.0))
+        self._sigma_m.append(np.full(2, np.nan) if match.motion.lost else sigma_m)
+        self._n_eff.append(mapping.n_eff)
+        self._resampled.append(mapping.resampled)
+        self._particles = mapping.particles
+
+    def tell(
+        self,
+        title: str,
+        grid: OccupancyGrid,
+        stamps_ns: NDArray[np.int64],
+        map_t_laser: Pose,
+        *,
+        facts: Mapping[str, Any],
+        notices: Sequence[str],
+        config: str,
+    ) -> str:
+        """Return the page of the run.
+
+        Args:
+            title: What was mapped.
+            grid: The map.
+            stamps_ns: (N,) of every step, in order.
+            map_t_laser: (N, 3).
+            facts: Versions, seed, host, input.
+            notices: What the log's reader had to say.
+            config: YAML.
+        """
+        return page(
+            ReportData(
+                title=title,
+                probability=grid.probability,
+                resolution_m=grid.resolution_m,
+                origin_m=grid.origin_m,
+                stamps_ns=stamps_ns,
+                map_t_laser=map_t_laser,
+                states=self.states,
+                score=np.array(self._score),
+                points=np.array(self._points, dtype=np.int64),
+                sigma_m=np.array(self._sigma_m).reshape(-1, 2),
+                n_eff=np.array(self._n_eff),
+                resampled=np.array(self._resampled, dtype=np.bool_),
+                particles=self._particles,
+                facts=facts,
+                notices=notices,
+                config=config,
+            )
+        )
