@@ -42,6 +42,10 @@ class Slam:
         match = self.odometry.step(scan)
         return Step(match, self.mapping.step(scan, match.motion))
 
+    def finish(self) -> None:
+        """Say that no scan follows: the path settles under everything that was seen. See `DpSlam.finish`."""
+        self.mapping.finish()
+
     def trajectory(self) -> tuple[NDArray[np.int64], Pose]:
         """Return stamps (N,) and map_t_laser (N, 3) of every scan so far."""
         return self.mapping.trajectory()

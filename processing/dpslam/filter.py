@@ -99,6 +99,11 @@ class DpSlam:
         """Move the whole population onto one path (K, 3), a pose for each key scan so far; maps are drawn anew."""
         self.population.relive(path, self._scans)
 
+    def finish(self) -> None:
+        """Lay the whole path as all its relations want it: for the end of a run, before its results are read."""
+        if self.loops is not None and self.loops.places:
+            self.relive(self.loops.smoothed())
+
     def trajectory(self) -> tuple[NDArray[np.int64], Pose]:
         """Return stamps (N,) and map_t_laser (N, 3) of every scan so far, by the best particle's ancestry."""
         return self._trail.stamps_ns, self._trail.lay(self.population.path)

@@ -208,6 +208,7 @@ class _Mapper:
         """Write the results folder of this run, if anybody wants one and there is something in it."""
         if self._port.results_dir is None or not self._odometry:
             return
+        self._filter.finish()
         stamps_ns, trajectory = self._filter.trajectory()
         occupancy = self._filter.occupancy()
         steps = np.diff(trajectory[:, :2], axis=0)

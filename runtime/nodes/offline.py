@@ -87,6 +87,7 @@ class OfflineRun:
             log: What the scans came from.
             extra: What else the run has to say of itself.
         """
+        self._slam.finish()
         stamps_ns, trajectory = self._slam.trajectory()
         odometry = np.array(self._odometry).reshape(-1, 3)
         if not np.array_equal(stamps_ns, self._stamps_ns):
