@@ -31,6 +31,8 @@ VERBS = (
     "evaluate",
     "config",
     "keys",
+    "paper",
+    "completion",
 )
 
 EXIT_CODES = (
@@ -49,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--version", action="version", version=f"hallway {_version()}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for verb in VERBS:
-        if (text := _help(verb)) is None:
+        if (text := help_of(verb)) is None:
             continue
         sub = verbs.add_parser(verb, help=text, description=text, epilog=EXIT_CODES)
         if verb == asked:
@@ -81,7 +83,7 @@ def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-def _help(verb: str) -> str | None:
+def help_of(verb: str) -> str | None:
     """Return a verb's help, read without importing its module; None where there is no such module."""
     spec = importlib.util.find_spec(f"runtime.cli.{verb}")
     if spec is None or spec.origin is None:
