@@ -17,6 +17,8 @@ from runtime import gate, keys, links, realtime
 from runtime.errors import HallwayError
 from runtime.process import PARENT_VARIABLE, log_to_stderr
 
+_SLICE_S = 0.2
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Stand there until asked to stop."""
@@ -40,7 +42,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if args.remote:
             door = gate.door(keys.authority(args.robot), args.robot, args.domain, args.remote)
         with ZenohBus(links.hub(args.run_dir, door)):
-            stop.wait()
+            # In slices: a signal that another thread takes does not end a wait without end.
+            while not stop.wait(_SLICE_S):
+                continue
     except HallwayError as error:
         logging.getLogger("hub").error("%s", error)
         return error.exit_code

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ROBOT, LAPTOP = "10.77.31.1", "10.77.31.2"
 
 ROBOT_SIDE = """
-    import json, subprocess, sys, threading, time
+    import contextlib, json, subprocess, sys, threading, time
     from pathlib import Path
     from runtime import links
     from runtime.bus import Mailbox
@@ -28,7 +28,8 @@ ROBOT_SIDE = """
     from runtime.topics import topic
     run_dir, address = Path(sys.argv[1]), sys.argv[2]
     hub = [sys.executable, "-m", "runtime.hub", "--run-dir", str(run_dir), "--remote", f"{address}:7448"]
-    with subprocess.Popen(hub) as process:
+    with subprocess.Popen(hub) as process, contextlib.ExitStack() as last:
+        last.callback(process.terminate)
         while not (run_dir / "hub.sock").exists():
             time.sleep(0.01)
         peer = ZenohBus(links.peer(run_dir, "base"))
@@ -44,7 +45,6 @@ ROBOT_SIDE = """
                 port.publish_raw("scan", bytes(2800))
                 secret.put(b"x", b"")
             print(json.dumps({"commands": commands.received}), flush=True)
-        process.terminate()
 """
 
 GUEST_SIDE = """
