@@ -1,0 +1,108 @@
+"""How long a newcomer waits: from `git clone` to a growing map of the demo, kernels compiled on the way.
+
+    python tests/bench/first_minute.py            # in a temporary folder, with the package cache as it is
+
+Prints one JSON object; seconds. `first` compiles every kernel, `again` finds them compiled.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+BUDGET_S = 60.0
+
+# Runs in the fresh environment: waits for the robot, then for a map, then for a larger one.
+WATCH = """
+import time
+from runtime import gate
+from runtime.bus_zenoh import ZenohBus
+from runtime.errors import HallwayError
+from runtime.node import BusPort
+
+until = time.monotonic() + 170
+while True:
+    try:
+        session = gate.visit("bench")
+        break
+    except HallwayError:
+        assert time.monotonic() < until, "no robot"
+        time.sleep(0.05)
+known = []
+with BusPort("watch", lambda: ZenohBus(session), subscribes=("map",), robot="bench") as port:
+    maps = port.subscribe("map")
+    while len(known) < 2:
+        assert time.monotonic() < until, "no map that grows"
+        if (received := maps.wait(0.5)) is not None:
+            cells = int((received.message.data >= 0).sum())
+            if not known or cells > known[-1]:
+                known.append(cells)
+                print(len(known), flush=True)
+"""
+
+
+def demo(hallway: Path, python: Path, folder: Path) -> dict[str, float]:
+    """Start the demo; return seconds until all processes run, the first map, and one that has grown."""
+    began = time.monotonic()
+    command = [hallway, "up", "demo", "--headless", "--robot", "bench", "--out", folder]
+    with (
+        subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as up,
+        subprocess.Popen([python, "-c", WATCH], stdout=subprocess.PIPE, text=True) as watch,
+    ):
+        try:
+            times = {}
+            for name in ("first_map", "grown_map"):
+                if not watch.stdout.readline():
+                    raise SystemExit("the demo showed no growing map")
+                times[name] = round(time.monotonic() - began, 1)
+        finally:
+            up.send_signal(2)
+            try:
+                up.wait(10)
+            except subprocess.TimeoutExpired:
+                up.kill()
+            watch.kill()
+    return times
+
+
+def main() -> int:
+    """Clone, install, run twice; 1 if the first run takes longer than the budget and BENCH_STRICT is set."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--python", default="python3.11")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="hallway-first-minute-") as name:
+        folder = Path(name)
+        began = time.monotonic()
+        subprocess.run(["git", "clone", "-q", ROOT, folder / "hallway"], check=True)
+        cloned = time.monotonic()
+        venv = folder / "hallway" / ".venv"
+        subprocess.run([args.python, "-m", "venv", venv], check=True)
+        subprocess.run([venv / "bin" / "pip", "install", "-q", "."], cwd=folder / "hallway", check=True)
+        installed = time.monotonic()
+        hallway, python = venv / "bin" / "hallway", venv / "bin" / "python"
+        first = demo(hallway, python, folder / "first")
+        total_s = installed - began + first["grown_map"]
+        again = demo(hallway, python, folder / "again")
+        result = {
+            "bench": "first_minute",
+            "unit": "s",
+            "clone": round(cloned - began, 1),
+            "install": round(installed - cloned, 1),
+            "first": first,
+            "total": round(total_s, 1),
+            "again": again,
+            "cores": os.cpu_count(),
+        }
+    print(json.dumps(result))
+    return int(bool(os.environ.get("BENCH_STRICT")) and total_s > BUDGET_S)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
