@@ -9,13 +9,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from runtime.formats.mcap_log import ACTIVE_SUFFIX, McapChannel, McapReader, McapWriter
+from runtime.formats.mcap_log import ACTIVE_SUFFIX, McapChannel, McapWriter
 from runtime.messages import DiagnosticArray, DiagnosticStatus, KeyValue, encode, header
 
 STATUS_TOPIC = "recording"
 """Under the robot's name, in files only: what the recorder could not keep."""
 STATUS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 FLUSH_NS = 1_000_000_000
+RING_FILES = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +27,10 @@ class RecordingConfig:
     """Size after which a new file begins, MB; 0 for one file, else 1 .. 1e6."""
     split_s: float = 0.0
     """Time after which a new file begins, s; 0 for one file, else 1 .. 1e6."""
+    ring_s: float = 0.0
+    """Only the last so many seconds are kept, in about ten files; 0 to keep everything, else 10 .. 1e6."""
+    ring_mb: float = 1000.0
+    """Size that such a ring never exceeds by more than one file, MB, 1 .. 1e6."""
     min_free_mb: float = 500.0
     """Free space that is never used up, MB, 0 .. 1e6."""
 
@@ -33,8 +38,22 @@ class RecordingConfig:
         for name in ("split_mb", "split_s"):
             if getattr(self, name) and not 1 <= getattr(self, name) <= 1e6:
                 raise ValueError(f"{name} = {getattr(self, name)}, must be 0 or in [1, 1e6]")
+        if self.ring_s and not 10 <= self.ring_s <= 1e6:
+            raise ValueError(f"ring_s = {self.ring_s}, must be 0 or in [10, 1e6]")
+        if not 1 <= self.ring_mb <= 1e6:
+            raise ValueError(f"ring_mb = {self.ring_mb}, must be in [1, 1e6]")
         if not 0 <= self.min_free_mb <= 1e6:
             raise ValueError(f"min_free_mb = {self.min_free_mb}, must be in [0, 1e6]")
+
+    @property
+    def file_s(self) -> float:
+        """Time after which a new file begins; 0 for never."""
+        return self.split_s or self.ring_s / RING_FILES
+
+    @property
+    def file_mb(self) -> float:
+        """Size after which a new file begins; 0 for never."""
+        return self.split_mb or (self.ring_mb / RING_FILES if self.ring_s else 0.0)
 
 
 @dataclass(slots=True)
@@ -79,12 +98,14 @@ class Recording:
         self._base, self._robot, self._config = path, robot, config
         self._about, self._attachments = dict(about or {}), dict(attachments or {})
         self._free_bytes = free_bytes
-        self._splitting = bool(config.split_mb or config.split_s)
+        self._splitting = bool(config.file_mb or config.file_s)
         self._status = McapChannel(f"/{robot}/{STATUS_TOPIC}", STATUS_TYPE)
         self.counts = Counts()
         self.full = False
-        self.files: list[Path] = []
         path.parent.mkdir(parents=True, exist_ok=True)
+        # A ring also bounds what an earlier recorder of this run has left.
+        self.files: list[Path] = _earlier(path) if config.ring_s else []
+        self._opened = _number_of(self.files[-1]) + 1 if self.files else 0
         self._flushed_ns = now_ns
         self._writer: McapWriter | None = None
         if not self._no_space():
@@ -132,26 +153,46 @@ class Recording:
 
     def _open(self, now_ns: int) -> None:
         path = self._free_path()
-        about = {**self._about, "robot": self._robot, "file": str(len(self.files)), "began_ns": str(now_ns)}
+        about = {**self._about, "robot": self._robot, "file": str(self._opened), "began_ns": str(now_ns)}
         self._writer = McapWriter(path, {"hallway": about}, self._attachments)
         self._began_ns = now_ns
+        self._opened += 1
         self.files.append(path)
+        if self._config.ring_s:
+            self._trim()
+
+    def _trim(self) -> None:
+        """Take the oldest files of a ring away; those that are whole, for the newest is being written."""
+        while len(self.files) > 1:
+            whole = self.files[:-1]
+            size = sum(path.stat().st_size for path in whole if path.exists())
+            too_many = len(whole) * self._config.file_s > self._config.ring_s
+            if not too_many and size <= self._config.ring_mb * 1e6:
+                return
+            oldest = self.files.pop(0)
+            for path in (oldest, oldest.with_name(oldest.name + ACTIVE_SUFFIX)):
+                path.unlink(missing_ok=True)
 
     def _free_path(self) -> Path:
         """Return the next name; a file of an earlier recording, whole or cut, is never touched."""
         base = self._base
-        number = len(self.files)
-        path = base.with_name(f"{base.stem}_{number:03d}{base.suffix}") if self._splitting else base
+        number = self._opened
+        path = self._numbered(number) if self._splitting else base
         while path.exists() or path.with_name(path.name + ACTIVE_SUFFIX).exists():
             number += 1
-            path = base.with_name(f"{base.stem}_{number:03d}{base.suffix}")
+            path = self._numbered(number)
         return path
+
+    def _numbered(self, number: int) -> Path:
+        # A ring goes on for weeks, and its names must sort.
+        digits = 8 if self._config.ring_s else 3
+        return self._base.with_name(f"{self._base.stem}_{number:0{digits}d}{self._base.suffix}")
 
     def _split_due(self, now_ns: int) -> bool:
         assert self._writer is not None
         c = self._config
-        by_size = bool(c.split_mb) and self._writer.bytes_written >= c.split_mb * 1e6
-        return by_size or (bool(c.split_s) and now_ns - self._began_ns >= c.split_s * 1e9)
+        by_size = bool(c.file_mb) and self._writer.bytes_written >= c.file_mb * 1e6
+        return by_size or (bool(c.file_s) and now_ns - self._began_ns >= c.file_s * 1e9)
 
     def _no_space(self) -> bool:
         self.full = self._free_bytes(self._base.parent) < self._config.min_free_mb * 1e6
@@ -189,41 +230,12 @@ class Recording:
         writer.add(self._status, 0, now_ns, now_ns, payload)
 
 
-def salvage(path: Path, target: Path | None = None) -> tuple[Path, int, list[str]]:
-    """Copy everything readable of a cut or damaged file into a whole one, and read that again.
+def _earlier(path: Path) -> list[Path]:
+    """Return the files that an earlier recording left under these names, whole or cut, oldest first."""
+    found = path.parent.glob(f"{path.stem}_*.mcap*")
+    return sorted({one.with_name(one.name.removesuffix(ACTIVE_SUFFIX)) for one in found})
 
-    Args:
-        path: The damaged file, usually `X.mcap.active`.
-        target: The new file; by default the name without `.active`, or `X.recovered.mcap`.
 
-    Returns:
-        The new file, how many messages it holds, and what of the old one could not be read.
-
-    Raises:
-        FormatError: It is no MCAP file.
-        FileExistsError: The target exists.
-    """
-    if target is None:
-        whole = path.name.removesuffix(ACTIVE_SUFFIX)
-        target = path.with_name(whole if whole != path.name else f"{path.stem}.recovered.mcap")
-    if target.exists():
-        raise FileExistsError(17, "exists already", str(target))
-    reader = McapReader(path)
-    for _ in reader.messages():
-        pass  # the first pass finds metadata and attachments, which stand before and behind messages
-    state = reader.state
-    about = dict(state.metadata)
-    about["hallway.salvaged"] = {"from": path.name, "troubles": "; ".join(state.troubles()) or "none"}
-    partial = target.with_name(f".{target.name}.salvage")
-    writer = McapWriter(partial, about, state.attachments)
-    count = 0
-    for message in reader.messages():
-        writer.add(message.channel, message.sequence, message.log_ns, message.publish_ns, message.payload)
-        count += 1
-    writer.finish()
-    again = McapReader(partial)
-    found = sum(1 for _ in again.messages())
-    if found != count or again.state.troubles():
-        raise AssertionError(f"{partial}: {found} of {count} messages read back after recovery")
-    partial.rename(target)
-    return target, count, state.losses()
+def _number_of(path: Path) -> int:
+    digits = path.stem.rsplit("_", 1)[-1]
+    return int(digits) if digits.isdigit() else 0

@@ -12,6 +12,9 @@ from typing import Any
 
 from runtime.errors import ConfigError, DataLostError
 
+KEEP_WAIT_S = 90.0
+"""How long the newest file of a ring is waited for; the files of a ring of 15 minutes are that long."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
@@ -21,12 +24,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, default=0.0, metavar="S", help="end after S seconds")
     parser.add_argument("--split-mb", type=float, default=0.0, metavar="MB", help="new file after so much")
     parser.add_argument("--split-s", type=float, default=0.0, metavar="S", help="new file after so long")
+    parser.add_argument("--ring", type=float, default=0.0, metavar="S", help="keep only the last S seconds")
+    parser.add_argument(
+        "--keep", action="store_true", help="keep what is in the robot's ring now, in the folder --out"
+    )
     parser.add_argument("--json", action="store_true", help="machine-readable, one object at the end")
 
 
 def run(args: argparse.Namespace) -> int:
     """Record until Ctrl-C (130), the duration or the robot's end (0); 4 if anything was lost."""
-    out = args.out or Path("recordings") / f"{args.robot}-{time.strftime('%Y%m%d-%H%M%S')}.mcap"
+    name = f"{args.robot}-{time.strftime('%Y%m%d-%H%M%S')}"
+    if args.keep:
+        return _keep(args, args.out or Path("recordings") / name)
+    out = args.out or Path("recordings") / f"{name}.mcap"
     config = _config(args, out)
     from runtime import gate, rundir
     from runtime.bus_zenoh import ZenohBus
@@ -78,16 +88,35 @@ def _config(args: argparse.Namespace, out: Path) -> Any:
     from runtime.recording import RecordingConfig
 
     try:
-        recording = RecordingConfig(split_mb=args.split_mb, split_s=args.split_s)
+        recording = RecordingConfig(split_mb=args.split_mb, split_s=args.split_s, ring_s=args.ring)
         topics = tuple(name.strip("/") for name in args.topics)
         return Config(file=str(out), topics=topics, duration_s=args.duration, recording=recording)
     except ValueError as error:
         raise ConfigError(f"hallway record: {error}") from error
 
 
+def _keep(args: argparse.Namespace, folder: Path) -> int:
+    """Keep the ring of the robot that runs here; 0 when something was in it."""
+    from runtime import rundir
+    from runtime.nodes.recorder import RING
+    from runtime.recovery import keep_ring
+
+    ring = rundir.running(args.robot) / RING
+    if not ring.is_dir():
+        raise ConfigError(
+            f"robot {args.robot!r} keeps no ring here; start one with `hallway record --ring 300`"
+        )
+    if folder.exists():
+        raise ConfigError(f"{folder}: exists already; choose another folder with --out")
+    files = keep_ring(ring, folder, within_s=KEEP_WAIT_S)
+    report = {"folder": str(folder), "files": [path.name for path in files]}
+    print(json.dumps(report) if args.json else f"{folder}/: {', '.join(report['files']) or 'nothing'}")
+    return 0 if files else 1
+
+
 def _recover(out: Path, quiet: bool) -> None:
     """Make whole files of those that an earlier recording of this name left unfinished."""
-    from runtime.recording import salvage
+    from runtime.recovery import salvage
 
     for cut in sorted(out.parent.glob(f"{out.stem}*.mcap.active")) if out.parent.is_dir() else []:
         whole = cut.with_name(cut.name.removesuffix(".active"))

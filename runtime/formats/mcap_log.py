@@ -188,6 +188,16 @@ class McapReader:
         self.path = path
         self.state = ReadState()
 
+    @staticmethod
+    def is_whole(path: Path) -> bool:
+        """Whether a file has the end that only a finished one has."""
+        with path.open("rb") as file:
+            file.seek(0, os.SEEK_END)
+            if file.tell() < 2 * len(MAGIC):
+                return False
+            file.seek(-len(MAGIC), os.SEEK_END)
+            return file.read() == MAGIC
+
     def messages(self) -> Iterator[McapMessage]:
         """Yield every readable message; `state` is complete afterwards.
 

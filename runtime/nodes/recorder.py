@@ -22,6 +22,8 @@ PUBLISHES: tuple[str, ...] = ()
 TURN_S = 0.02
 BIG_KEEP, SMALL_KEEP = 16, 2048
 """Messages held while the disk stalls: maps are large, everything else is small."""
+RING = "ring"
+"""Folder of the ring, and the name under which the run's directory links to it."""
 _BIG = ("map", "trajectory")
 
 
@@ -55,7 +57,7 @@ def run(port: Port, config: Config) -> int:
 def record(port: Port, config: Config, turn: Callable[[Recording], None]) -> Recording:
     """Record until asked to stop, or for the configured time; `turn` is called at each turn of the loop."""
     subscriptions = _subscribe(port, config.topics or SUBSCRIBES)
-    path = Path(config.file) if config.file else (port.results_dir or port.run_dir) / "recording.mcap"
+    path = _path(port, config)
     began_ns = port.clock.now_ns()
     recording = Recording(path, port.robot, config.recording, began_ns, _about(port), _attachments(port))
     channels: dict[tuple[str, bytes], McapChannel] = {}
@@ -72,6 +74,19 @@ def record(port: Port, config: Config, turn: Callable[[Recording], None]) -> Rec
     recording.close(port.clock.now_ns())
     _tell(port, recording)
     return recording
+
+
+def _path(port: Port, config: Config) -> Path:
+    """Return the file to write, and let the command that keeps a ring find it."""
+    home = port.results_dir or port.run_dir
+    if not config.recording.ring_s:
+        return Path(config.file) if config.file else home / "recording.mcap"
+    path = Path(config.file) if config.file else home / RING / f"{RING}.mcap"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    link = port.run_dir / RING
+    link.unlink(missing_ok=True)
+    link.symlink_to(path.parent.absolute())
+    return path
 
 
 def _subscribe(port: Port, topics: tuple[str, ...]) -> dict[str, Subscription]:

@@ -9,7 +9,8 @@ from runtime.formats.errors import FormatError
 from runtime.formats.logs import open_log
 from runtime.formats.mcap_log import Gaps, McapChannel, McapReader, McapWriter
 from runtime.messages import LaserScan, decode, encode, header
-from runtime.recording import STATUS_TYPE, Recording, RecordingConfig, salvage
+from runtime.recording import STATUS_TYPE, Recording, RecordingConfig
+from runtime.recovery import keep_ring, salvage
 
 SCAN = McapChannel("/robot/scan", "sensor_msgs/msg/LaserScan", {"gid": "aa" * 16})
 S = 1_000_000_000
@@ -363,3 +364,67 @@ def test_what_is_missing_in_a_recording_is_told_by_its_log(tmp_path):
     (first, second) = open_log(tmp_path / "a.mcap.active").losses
     assert "the file was cut" in first
     assert "2 scans of /robot/scan were never recorded" in second
+
+
+# ---- the ring: the last minutes, always, and kept when somebody says so ----
+
+
+def run_ring(tmp_path, seconds, first=1, **config):
+    rec = recording(tmp_path / "ring.mcap", now_ns=first * S // 10, ring_s=10.0, **config)
+    for n in range(first, first + seconds * 10):
+        rec.add(SCAN, n, n * S // 10, n * S // 10, payload(n))
+        rec.tick(n * S // 10, {})
+    return rec
+
+
+def scans_in(paths):
+    return [m.sequence for path in paths for m in read(path)[0] if m.channel == SCAN]
+
+
+def test_a_ring_holds_the_last_seconds_and_not_much_more(tmp_path):
+    rec = run_ring(tmp_path, 45)
+    rec.close(46 * S)
+    scans = scans_in(rec.files)
+    assert scans == list(range(scans[0], 451))
+    assert 100 <= len(scans) <= 125
+    assert sorted(tmp_path.iterdir()) == rec.files
+
+
+def test_a_ring_is_bounded_in_size_too(tmp_path):
+    rec = recording(tmp_path / "ring.mcap", ring_s=1000.0, ring_mb=2.0)
+    noise = np.random.default_rng(5)
+    for n in range(1, 101):
+        rec.add(SCAN, n, n * S, n * S, noise.bytes(100_000))
+        rec.tick(n * S, {})
+    rec.close(101 * S)
+    assert sum(path.stat().st_size for path in rec.files) < 2.6e6
+    assert scans_in(rec.files)[-1] == 100
+
+
+def test_a_recorder_that_was_started_again_goes_on_with_the_ring(tmp_path):
+    rec = run_ring(tmp_path, 15)
+    rec._writer.abandon()  # killed
+    again = run_ring(tmp_path, 12, first=200)
+    again.close(40 * S)
+    assert len(list(tmp_path.iterdir())) <= 12
+    assert scans_in(again.files)[-1] == 319
+
+
+def test_what_is_kept_of_a_ring_stays_when_the_ring_goes_on(tmp_path):
+    rec = run_ring(tmp_path / "ring", 12)
+    kept = keep_ring(tmp_path / "ring", tmp_path / "kept", within_s=0.0)
+    before = scans_in(kept)
+    for n in range(121, 400):
+        rec.add(SCAN, n, n * S // 10, n * S // 10, payload(n))
+        rec.tick(n * S // 10, {})
+    rec.close(40 * S)
+    assert before == list(range(before[0], before[-1] + 1))
+    after = scans_in(kept)
+    assert after[: len(before)] == before
+    assert len(after) >= 100
+    assert read(kept[-1])[1].complete  # the newest file went on under its second name until it was whole
+
+
+def test_a_ring_of_another_length_is_refused():
+    with pytest.raises(ValueError, match="ring_s = 3"):
+        RecordingConfig(ring_s=3.0)
