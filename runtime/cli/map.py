@@ -49,12 +49,13 @@ def run(args: argparse.Namespace) -> int:
     for notice in log.notices + log.losses:
         print(f"hallway map: {notice}", file=sys.stderr)
     offline = OfflineRun(config, seed)
-    with _stop_on_sigint() as stopping, Progress(len(log), log.geometry.period_s, args.json) as progress:
-        _feed(offline, log, progress, stopping)
-    interrupted = progress.done < len(log)
-    if progress.done == 0:
-        return 130
-    report = {"seed": seed, **_save(offline, log, out, args, interrupted)}
+    with _stop_on_signal() as stopping:
+        with Progress(len(log), log.geometry.period_s, args.json) as progress:
+            _feed(offline, log, progress, stopping)
+        interrupted = progress.done < len(log)
+        if progress.done == 0:
+            return 130
+        report = {"seed": seed, **_save(offline, log, out, args, interrupted)}
     report |= {"seconds": round(progress.elapsed_s, 3), "scans_per_s": round(progress.scans_per_s, 1)}
     report["times_real_time"] = round(progress.times_real_time, 2)
     _say(report, args.json)
@@ -112,7 +113,7 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
 
 
 @contextmanager
-def _stop_on_sigint() -> Iterator[list[bool]]:
+def _stop_on_signal() -> Iterator[list[bool]]:
     """Turn the first Ctrl-C into a wish to stop after the present scan; the second one ends at once."""
     stopping: list[bool] = []
 
@@ -121,8 +122,9 @@ def _stop_on_sigint() -> Iterator[list[bool]]:
             raise KeyboardInterrupt
         stopping.append(True)
 
-    before = signal.signal(signal.SIGINT, on_signal)
+    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield stopping
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -23,11 +23,12 @@ class Progress:
         self._bar: Any = None
         self.done = 0
         self.began_s = self._said_s = time.monotonic()
+        self._ended_s: float | None = None
 
     @property
     def elapsed_s(self) -> float:
-        """Seconds since the first scan began."""
-        return time.monotonic() - self.began_s
+        """Seconds since the first scan began, until the last one ended."""
+        return (time.monotonic() if self._ended_s is None else self._ended_s) - self.began_s
 
     @property
     def scans_per_s(self) -> float:
@@ -62,6 +63,7 @@ class Progress:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._ended_s = time.monotonic()
         if self._bar is not None:
             self._bar.stop()
 
