@@ -163,11 +163,20 @@ class Urg:
         right = [path for path in paths if path not in self._known or self._is_wanted(self._known[path])]
         if not right:
             units = ", ".join(f"{path}: {self._known[path].version.serial}" for path in paths)
-            raise PortMissingError(f"no unit {self.config.serial} among the sensors plugged in ({units})")
+            raise PortMissingError(f"no unit {self._serial()} among the sensors plugged in ({units})")
         return right[self._failures % len(right)]
 
+    def _serial(self) -> str:
+        """Return the number of the only unit that will do, "" if any will.
+
+        A sensor at a given port that comes back at another one has to be the same sensor.
+        """
+        if self.config.serial or self.config.port == "auto" or self._connected is None:
+            return self.config.serial
+        return self._connected.identity.version.serial
+
     def _is_wanted(self, identity: Identity) -> bool:
-        return self.config.serial in ("", identity.version.serial)
+        return self._serial() in ("", identity.version.serial)
 
     def _connect(self, path: str) -> Waiting:
         stream = self._open_stream(path, self.config.baud or connect.USB_BAUD)
@@ -182,7 +191,7 @@ class Urg:
                 yield Notice("warn", f"{path}: {warning}")
         identity = self._known[path]
         if not self._is_wanted(identity):
-            raise SilentError(f"{path}: unit {identity.version.serial!r}, wanted {self.config.serial!r}")
+            raise SilentError(f"{path}: unit {identity.version.serial!r}, wanted {self._serial()!r}")
         if self.config.sensitive and not (yield from connect.set_sensitive(link)):
             yield Notice("warn", f"{path}: this firmware has no sensitive mode; going on without")
         request = self.config.request(identity.parameters)

@@ -32,6 +32,7 @@ class UrgReader:
         self._events: deque[Event] = deque()
         self._scans = 0
         self._error: Exception | None = None
+        self._ended = False
         self._changed = threading.Condition()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="urg-reader", daemon=True)
@@ -59,13 +60,15 @@ class UrgReader:
             ValueError: The sensor cannot do what is configured.
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._events or self._error, timeout_s)
+            self._changed.wait_for(lambda: self._events or self._error or self._ended, timeout_s)
             if self._events:
                 event = self._events.popleft()
                 self._scans -= isinstance(event, UrgScan)
                 return event
             if self._error:
                 raise self._error
+            if self._ended and not self._stopping.is_set():
+                raise RuntimeError("the thread that reads the sensor has ended; its traceback says why")
         return None
 
     def _run(self) -> None:
@@ -77,12 +80,13 @@ class UrgReader:
                 if self._stopping.is_set():
                     break
         except (DeviceError, ValueError) as error:
-            with self._changed:
-                self._error = error
-                self._changed.notify()
+            self._error = error
         finally:
             # Closing runs the device's own ending, here, where nothing else reads the line.
             events.close()
+            with self._changed:
+                self._ended = True
+                self._changed.notify()
 
     def _put(self, event: Event) -> None:
         with self._changed:

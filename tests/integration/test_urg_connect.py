@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import PortBusyError, PortForbiddenError, PortMissingError, ProtocolError
+from drivers.ports import UsbPort
 from drivers.transport import SerialStream
 from drivers.urg04lx.device import UrgScan
 from drivers.urg04lx.emulator import Emulator
@@ -191,6 +192,44 @@ def test_two_sensors_are_told_apart_by_their_serial_numbers_whatever_their_ports
                 assert session.more_scans(2, 20.0)
             assert session.connections[0].path == second.port
             assert session.connections[0].identity.version.serial == "H0000002"
+
+
+def test_a_sensor_is_found_by_its_usb_identity(monkeypatch):
+    with Emulator(mode=Mode.IDLE, speed=SPEED) as emulator:
+        asked = []
+
+        def on_usb(vendor, product):
+            asked.append((vendor, product))
+            return [UsbPort(emulator.port, vendor, product, "1-1", "URG-Series USB Driver")]
+
+        monkeypatch.setattr("drivers.urg04lx.device.usb_ports", on_usb)
+        device = attach(emulator, speed=SPEED, port="auto")
+        device._find = device._find_ports
+        with Session(device, emulator) as session:
+            assert session.more_scans(2)
+    assert asked[0] == ("15d1", "0000")
+
+
+@pytest.mark.parametrize(("returning", "accepted"), [("H0706400", True), ("H0000002", False)])
+def test_a_sensor_at_a_given_port_is_found_again_at_another_one_if_it_is_the_same(
+    tmp_path, monkeypatch, returning, accepted
+):
+    link = tmp_path / "ttyACM0"
+    other = dataclasses.replace(URG_04LX, serial=returning)
+    with (
+        Emulator(mode=Mode.IDLE, speed=SPEED, link=link) as emulator,
+        Emulator(model=other, mode=Mode.IDLE, speed=SPEED) as second,
+    ):
+        monkeypatch.setattr(
+            "drivers.urg04lx.device.usb_ports", lambda *_: [UsbPort(second.port, "15d1", "0000", "1-2", "")]
+        )
+        device = attach(emulator, speed=SPEED, port=str(link))
+        device._find = device._find_ports
+        with Session(device, emulator) as session:
+            assert session.more_scans(2)
+            emulator.unplug()
+            assert session.more_scans(2, 6.0) == accepted
+        assert session.said(f"no unit H0706400 among the sensors plugged in ({second.port}") != accepted
 
 
 def test_a_unit_that_is_not_there_is_an_error_that_names_those_that_are():

@@ -110,6 +110,18 @@ def test_a_consumer_that_sleeps_for_ten_seconds_gets_the_newest_scans_and_the_lo
             assert session.device.sequence.missed == 0
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_bug_in_the_reader_is_an_error_of_the_consumer_and_no_silence():
+    def broken():
+        raise ZeroDivisionError
+
+    with Emulator(mode=Mode.IDLE) as emulator:
+        device = attach(emulator)
+        device._find = broken
+        with UrgReader(device) as reader, pytest.raises(RuntimeError, match="has ended"):
+            reader.read(5.0)
+
+
 def test_signals_at_a_hundred_hertz_interrupt_nothing():
     ticks = []
     before = signal.signal(signal.SIGALRM, lambda *_: ticks.append(1))
