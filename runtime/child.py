@@ -61,6 +61,7 @@ class Child:
         self._failures = 0
         self._due = 0.0
         self._blamed = ""
+        self._pressed = False
 
     @property
     def pid(self) -> int | None:
@@ -136,8 +137,20 @@ class Child:
                 self.enter(State.ENDED)
             return
         self.enter(State.STOPPING)
+        self._pressed = False
         self.signal(signal.SIGINT)
         self.signal(signal.SIGCONT)
+
+    def press(self) -> str | None:
+        """Ask again half-way through the time it has to end, and end it after that; say so."""
+        if self.state is not State.STOPPING or self._blamed:
+            return None
+        if self.age_s > self.spec.stop_s:
+            return self.kill(f"did not end within {self.spec.stop_s:g} s")
+        if self.age_s > self.spec.stop_s / 2 and not self._pressed:
+            self._pressed = True
+            self.signal(signal.SIGTERM)
+        return None
 
     def end(self) -> None:
         """End the process and everything it started, and wait until it is gone."""

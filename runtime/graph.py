@@ -45,6 +45,8 @@ class NodeSpec:
     """CPU numbers to stay on; all if empty."""
     start_s: float = 60.0
     """Time to become ready."""
+    stop_s: float = 1.8
+    """Time to end when asked; a node that has much to save may have more."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.priority <= 50:
@@ -55,6 +57,8 @@ class NodeSpec:
             raise ValueError(f"cores = {list(self.cores)}, must not be negative")
         if not 0 < self.start_s <= 600:
             raise ValueError(f"start_s = {self.start_s}, must be in (0, 600]")
+        if not 0 < self.stop_s <= 600:
+            raise ValueError(f"stop_s = {self.stop_s}, must be in (0, 600]")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

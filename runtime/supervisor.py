@@ -6,7 +6,6 @@ business.
 """
 
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -20,10 +19,11 @@ from runtime.graph import Graph, NodeSpec
 from runtime.process import PARENT_VARIABLE
 
 HUB = "hub"
+_DONE = (State.ENDED, State.FAILED)
+_ASKED = (State.STOPPING, *_DONE)
 _ROTATE_S = 5.0
-TERM_AFTER_S = 1.0
-KILL_AFTER_S = 1.8
-"""Ctrl-C ends a run within two seconds; what a node has not saved by then it must have saved before."""
+_WAVES_S = 0.4
+"""For so long those are asked first that others do not wait for; then everybody is asked at once."""
 SILENT_S = 5.0
 """A process that beats once a second and was not heard for so long does not work."""
 
@@ -68,7 +68,6 @@ class Supervisor:
         }
         self.stopping = False
         self._stop_began = 0.0
-        self._signalled = 0
         self._rotated = 0.0
         self.failed: Child | None = None
         """The required process whose end ended the run."""
@@ -81,14 +80,12 @@ class Supervisor:
     @property
     def over(self) -> bool:
         """Whether nothing runs, and nothing will."""
-        done = (State.ENDED, State.FAILED)
-        return self.stopping and all(child.state in done for child in self.children.values())
+        return self.stopping and all(child.state in _DONE for child in self.children.values())
 
     @property
     def idle(self) -> bool:
         """Whether every process but the hub has ended on its own."""
-        done = (State.ENDED, State.FAILED)
-        return all(child.state in done for child in self.children.values() if child.name != HUB)
+        return all(child.state in _DONE for child in self.children.values() if child.name != HUB)
 
     def step(self, ready: Collection[str], silent: Collection[str] = ()) -> None:
         """Look once after every process; call it some twenty times a second.
@@ -121,14 +118,11 @@ class Supervisor:
                 child.rotate_log()
 
     def stop(self) -> None:
-        """Ask everything to end; `step` goes on until `over`. The hub hears the others' last words."""
+        """Ask everything to end; `step` goes on until `over`. The hub hears everybody's last word."""
         if self.stopping:
             return
         self.stopping = True
         self._stop_began = time.monotonic()
-        for child in self.children.values():
-            if child.name != HUB:
-                child.stop()
 
     def close(self) -> None:
         """End everything at once, whatever state it is in."""
@@ -140,30 +134,24 @@ class Supervisor:
         if hub is not None and child is not hub and hub.state is not State.RUNNING:
             return False
         return all(
-            self.children[name].was_ready or self.children[name].state in (State.ENDED, State.FAILED)
-            for name in child.spec.after
+            self.children[name].was_ready or self.children[name].state in _DONE for name in child.spec.after
         )
 
     def _press(self) -> None:
-        """Ask once, ask again, then end what still runs."""
-        took_s = time.monotonic() - self._stop_began
-        hub = self.children.get(HUB)
-        if hub is not None and hub.state not in (State.STOPPING, State.ENDED, State.FAILED) and self.idle:
-            hub.stop()
-        steps = ((TERM_AFTER_S, signal.SIGTERM), (KILL_AFTER_S, signal.SIGKILL))
-        for level, (after_s, number) in enumerate(steps, start=1):
-            if took_s < after_s or self._signalled >= level:
+        """Ask everything to end, whoever listens before whoever speaks; then insist."""
+        hurry = time.monotonic() - self._stop_began > _WAVES_S
+        for child in self.children.values():
+            if child.state in _ASKED or child.name == HUB:
                 continue
-            self._signalled = level
-            for child in self.children.values():
-                if child.state is State.STOPPING:
-                    if number is signal.SIGKILL:
-                        self._tell(child, child.kill(f"did not end within {KILL_AFTER_S:g} s"))
-                    else:
-                        child.signal(number)
-        if took_s > KILL_AFTER_S and hub is not None and hub.state is State.RUNNING:
+            later = (c for c in self.children.values() if child.name in c.spec.after)
+            if hurry or all(c.state in _DONE for c in later):
+                child.stop()
+        hub = self.children.get(HUB)
+        if hub is not None and hub.state not in _ASKED and self.idle:
             hub.stop()
-            hub.kill("ends last")
+        for child in self.children.values():
+            if (happened := child.press()) is not None:
+                self._tell(child, happened)
 
     def _tell(self, child: Child, text: str) -> None:
         self._on_event(Event(self._clock.now_ns(), child.name, text))

@@ -70,7 +70,7 @@ def table(status: Status, elapsed_s: float | None) -> Any:
 
     head = Text.assemble(
         (f"{status.robot}  ", "bold"),
-        (status.tracking or "starting", _STATE_COLOURS.get(status.tracking, "white")),
+        (status.tracking or "starting", _STATE_COLOURS.get(status.tracking.split(" ")[0], "white")),
         "" if elapsed_s is None else f"   {elapsed_s:.0f} s",
         f"   map {status.map_size or '-'}   {status.mapped} of {status.scans} scans",
     )

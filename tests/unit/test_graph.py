@@ -83,6 +83,7 @@ def test_a_good_graph_is_resolved(modules):
         ("nodes: {a: {module: m, nice: -5}}", "nodes.a: nice = -5, must be in [0, 19]"),
         ("nodes: {a: {module: m, cores: [-1]}}", "cores = [-1], must not be negative"),
         ("nodes: {a: {module: m, start_s: 0}}", "start_s = 0.0, must be in (0, 600]"),
+        ("nodes: {a: {module: m, stop_s: 0}}", "stop_s = 0.0, must be in (0, 600]"),
         (
             "nodes: {mapper: {module: m}, b: {module: m, after: [maper]}}",
             "after.maper: unknown key; did you mean",
