@@ -1,0 +1,190 @@
+"""Write the reference pages from the code: `python docs/make_reference.py` writes, `--check` only compares.
+
+What a parameter means, its default and its limits are read where they are written: in the dataclasses.
+"""
+
+import ast
+import dataclasses
+import inspect
+import re
+import sys
+import textwrap
+from pathlib import Path
+from typing import Any, get_type_hints
+
+DOCS = Path(__file__).parent
+
+_CONFIG_HEAD = """\
+# Configuration reference
+
+Nobody has to set anything to get a map. This page lists everything that can be set, in the words of the code
+(`python docs/make_reference.py` makes it; a test checks that it is current).
+
+A graph is a YAML file: the robot's name, a seed, and its processes. Whatever is not in the file keeps its
+default; an unknown key is an error that names the nearest known one. `hallway config dump` prints a graph
+with every default filled in, `hallway config check FILE` says whether it may start.
+
+Those that people need, if any:
+
+| parameter | when |
+|---|---|
+| `laser.path`, `base.path` | the devices are not at the default ports |
+| `laser_in_base`, see [the offline map](#hallway-map) | poses of the robot's middle are wanted |
+| `matcher.odometry.prediction.acceleration`, `.turning` | the laser is thrown about by hand |
+| `mapper.mapping.particles` | the machine is slow, or the building is large and full of loops |
+| `viewer.mode`, `viewer.memory_mb` | the picture shall be a page, or use less memory |
+| `recorder.file`, `recorder.topics` | recordings shall go elsewhere, or hold less |
+"""
+
+_OFFLINE = """\
+<a id="hallway-map"></a>
+
+## `hallway map --config`
+
+`slam.odometry` takes the keys of `odometry` of the [matcher](#matcher), `slam.mapping` those of `mapping` of
+the [mapper](#mapper).
+
+"""
+
+_TOPICS_HEAD = """\
+| topic | type | rate, Hz | a subscriber keeps | latched | recorded |
+|---|---|---|---|---|---|
+"""
+
+
+def configuration() -> str:
+    """Return the page of all parameters."""
+    from runtime import graph
+    from runtime.graph import Graph, NodeSpec
+    from runtime.nodes.offline import OfflineConfig
+
+    parts = [_CONFIG_HEAD, "## The graph\n", _table(_rows(Graph, ""))]
+    parts += ["## One process of a graph\n", _table(_rows(NodeSpec, ""))]
+    seen: set[str] = set()
+    for name in ("demo", "onboard"):
+        file = graph.find(name)
+        for resolved in graph.resolve_all(graph.load(file), name).values():
+            if (module := resolved.module.__name__.rpartition(".")[2]) in seen:
+                continue
+            seen.add(module)
+            first = (inspect.getdoc(resolved.module) or "").splitlines()[0]
+            table = _table(_rows(type(resolved.config), "")) or "Nothing to set.\n"
+            parts += [f"## `{module}`\n", f"{first}\n", table]
+    rows = [row for row in _rows(OfflineConfig, "") if not row.startswith("| `slam.")]
+    parts += [_OFFLINE, _table(rows)]
+    return "\n".join(parts)
+
+
+def topics() -> str:
+    """Return the table of all topics."""
+    from runtime.topics import ALL, TOPICS
+
+    rows = []
+    for topic in TOPICS.values():
+        keep = {1: "the newest", ALL: "all"}.get(topic.keep, f"the newest {topic.keep}")
+        rate = f"{topic.rate_hz:g}" if topic.rate_hz else "when it changes"
+        marks = ["yes" if flag else "no" for flag in (topic.latched, topic.recorded)]
+        rows.append(f"| `{topic.name}` | `{topic.type}` | {rate} | {keep} | {marks[0]} | {marks[1]} |")
+    return _TOPICS_HEAD + "\n".join(rows) + "\n"
+
+
+def _table(rows: list[str]) -> str:
+    head = "| parameter | default | limits | meaning |\n|---|---|---|---|\n"
+    return head + "\n".join(rows) + "\n" if rows else ""
+
+
+def _rows(cls: type, prefix: str) -> list[str]:
+    words, rules, hints = _words(cls), _rules(cls), get_type_hints(cls)
+    rows = []
+    for field in dataclasses.fields(cls):
+        inner = hints[field.name]
+        if dataclasses.is_dataclass(inner):
+            rows += _rows(inner, f"{prefix}{field.name}.")
+            continue
+        limit = (
+            rules.get(field.name, _choices(inner)).removeprefix("not be ").replace("negative", "0 or more")
+        )
+        meaning = words.get(field.name, "")
+        cells = (f"`{prefix}{field.name}`", f"`{_default(field)}`", limit, meaning)
+        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return rows
+
+
+def _default(field: "dataclasses.Field[Any]") -> str:
+    if field.default is not dataclasses.MISSING:
+        value = field.default
+    elif field.default_factory is not dataclasses.MISSING:
+        value = field.default_factory()
+    else:
+        return "required"
+    if isinstance(value, float) and value >= 1e5:
+        return f"{value:g}"
+    if isinstance(value, Path):
+        return str(value)
+    return repr(getattr(value, "value", value))
+
+
+def _choices(hint: Any) -> str:
+    from typing import Literal, get_args, get_origin
+
+    return ", ".join(map(str, get_args(hint))) if get_origin(hint) is Literal else ""
+
+
+def _words(cls: type) -> dict[str, str]:
+    """Return the text that stands under each field."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(cls))).body[0].body
+    words = {}
+    for this, following in zip(body, [*body[1:], None], strict=True):
+        if isinstance(this, ast.AnnAssign) and isinstance(this.target, ast.Name):
+            text = following.value if isinstance(following, ast.Expr) else None
+            if isinstance(text, ast.Constant) and isinstance(text.value, str):
+                words[this.target.id] = " ".join(text.value.split())
+    return words
+
+
+def _rules(cls: type) -> dict[str, str]:
+    """Return what each field must be, from the errors that say so."""
+    check = getattr(cls, "__post_init__", None)
+    if check is None:
+        return {}
+    source = inspect.getsource(check)
+    rules = dict(re.findall(r'"(\w+) = [^"]*?, must (?:be )?([^"{}]*)"', source))
+    # One rule for several fields: for name in ("a", "b"): ... f"{name} = ..., must be ..."
+    loops = re.findall(r'for (\w+) in \(([^)]*)\):(.*?)must (?:be )?([^"{}]*)"', source, flags=re.DOTALL)
+    for _, names, _, rule in loops:
+        rules |= {name: rule for name in re.findall(r'"(\w+)"', names) if name not in rules}
+    return rules
+
+
+PAGES = {"configuration.md": configuration}
+BLOCKS = {"wire-format.md": ("topics", topics)}
+
+
+def current() -> dict[str, str]:
+    """Return what each page that has made parts should be."""
+    pages = {name: make() for name, make in PAGES.items()}
+    for name, (mark, make) in BLOCKS.items():
+        before, rest = (DOCS / name).read_text().split(f"<!-- {mark}: made -->\n")
+        after = rest.split(f"<!-- end of {mark} -->")[1]
+        pages[name] = f"{before}<!-- {mark}: made -->\n{make()}<!-- end of {mark} -->{after}"
+    return pages
+
+
+def main() -> int:
+    """Write the pages, or compare them; 1 if one is not current."""
+    code = 0
+    for name, text in current().items():
+        page = DOCS / name
+        if page.is_file() and page.read_text() == text:
+            continue
+        if "--check" in sys.argv[1:]:
+            sys.stdout.write(f"docs/{name} is not current: python docs/make_reference.py\n")
+            code = 1
+        else:
+            page.write_text(text)
+    return code
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(DOCS.parent))
+    sys.exit(main())
