@@ -1,6 +1,7 @@
 """The driver's side of the watchdog: starts it, lends it the line, beats, and knows whether it listens."""
 
 import contextlib
+import select
 import socket
 import subprocess
 import sys
@@ -9,7 +10,9 @@ from pathlib import Path
 from types import TracebackType
 
 from drivers.create import watchdog
+from drivers.errors import DeviceError
 
+_START_S = 5.0
 _ASLEEP_S = 0.5
 """A watchdog that owes an answer for longer is not watching; a busy machine alone takes less."""
 
@@ -19,6 +22,9 @@ class Guard:
 
     Args:
         silence_s: After so long without a beat of a moving robot the watchdog stops it.
+
+    Raises:
+        DeviceError: It does not start.
     """
 
     def __init__(self, silence_s: float = 0.2) -> None:
@@ -98,5 +104,8 @@ class Guard:
                 start_new_session=True,
                 stdin=subprocess.DEVNULL,
             )
+        ready, _, _ = select.select([self._link], [], [], _START_S)
+        if not ready or not self._link.recv(16):
+            raise DeviceError(f"the watchdog did not start within {_START_S:g} s")
         self._unanswered = 0
         self._unanswered_since = 0.0

@@ -30,30 +30,45 @@ def watch(link: socket.socket, silence_s: float) -> None:
     line = -1
     moving = False
     heard = stopped = time.monotonic()
+    _answer(link)  # awake
     try:
         while True:
             select.select([link], [], [], _TURN_S)
-            with contextlib.suppress(BlockingIOError):
-                while True:
-                    message, fds, _, _ = socket.recv_fds(link, 16, 4)
-                    heard = time.monotonic()
-                    if not message:
-                        return
-                    if message in (b"L", b"R"):
-                        if line >= 0:
-                            os.close(line)
-                        line = fds[0] if fds else -1
-                    moving = message == b"M"
-                    if message in (b"M", b"S"):
-                        link.send(b".")
+            while (mail := _mail(link)) is not None:
+                message, fds = mail
+                heard = time.monotonic()
+                if not message:
+                    return
+                if message in (b"L", b"R"):
+                    if line >= 0:
+                        os.close(line)
+                    line = fds[0] if fds else -1
+                else:
+                    _answer(link)
+                moving = message == b"M"
             now = time.monotonic()
             if moving and line >= 0 and now - heard > silence_s and now - stopped > _AGAIN_S:
                 stopped = now
                 stop(line)
-    except ConnectionError:
-        return  # a driver that died with unread mail resets the link, instead of ending it
     finally:
         _bury(line)
+
+
+def _mail(link: socket.socket) -> tuple[bytes, list[int]] | None:
+    """Return the next message and its descriptors, b"" when the driver is gone; None if there is none yet."""
+    while True:
+        try:
+            message, fds, _, _ = socket.recv_fds(link, 16, 4)
+        except BlockingIOError:
+            return None
+        except ConnectionResetError:
+            continue  # told once, of a driver that left answers unread; what it said is still to be read
+        return message, fds
+
+
+def _answer(link: socket.socket) -> None:
+    with contextlib.suppress(OSError):  # a driver that does not listen has still said what it said
+        link.send(b".")
 
 
 def stop(line: int) -> bool:

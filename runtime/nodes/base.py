@@ -16,7 +16,7 @@ from drivers.create.guard import Guard
 from drivers.create.limits import SafetyConfig
 from drivers.create.safety import Safety, State
 from drivers.create.stream import PACKETS, Telemetry
-from drivers.errors import DeviceError, SilentError
+from drivers.errors import DeviceError, PortBusyError, PortForbiddenError, PortMissingError, SilentError
 from drivers.transport import SerialStream
 from runtime import messages
 from runtime.nodes.battery import battery_message
@@ -31,6 +31,7 @@ _WRITE_TIMEOUT_S = 0.2
 _BACK_OFF_S = (0.0, 0.5, 1.0, 2.0, 5.0)
 _SILENT_NS = 600_000_000
 _SECOND_NS = 1_000_000_000
+_NO_PORT = (PortMissingError, PortForbiddenError, PortBusyError)
 _FAULTLESS = ("not armed", "no input", "emergency stop reset")
 
 
@@ -47,10 +48,14 @@ class Config:
     safety: SafetyConfig = field(default_factory=SafetyConfig)
     watchdog_s: float = 0.2
     """After so long without a sign of this process its watchdog stops the robot."""
+    patience_s: float = 3.0
+    """How long the port may be missing at the start."""
 
     def __post_init__(self) -> None:
         if not 0.05 <= self.watchdog_s <= 0.25:
             raise ValueError(f"watchdog_s = {self.watchdog_s}, must be in [0.05, 0.25]")
+        if not 0.0 <= self.patience_s <= 600.0:
+            raise ValueError(f"patience_s = {self.patience_s}, must be in [0, 600]")
         self.device("/dev/null")
 
     def device(self, path: str) -> CreateConfig:
@@ -81,6 +86,8 @@ class _Base:
         self._inputs: Subscription = port.subscribe("cmd_vel", keep=64)
         self._parent = os.getppid()
         self._failures = 0
+        self._ever = False
+        self._began_ns, self._patience_ns = port.clock.now_ns(), round(config.patience_s * 1e9)
         self._bumps: int | None = None
         self._told: tuple[State, str] | None = None
         self._reported_ns = self._charged_ns = 0
@@ -115,22 +122,27 @@ class _Base:
         self._guard.take_back()  # it holds the lock of the port as long as it holds the line
         self._create.connect()
         self._guard.lend(self._create.fileno())
-        self._inputs.drain()  # from before the robot was there
         self._failures = 0
+        self._ever = True
         self._telemetry_ns = self._port.clock.now_ns()
         self._safety.fail("not armed yet")
         self._port.ready()
 
     def _lose(self, error: DeviceError) -> None:
-        """Give the line up, and try again after a while."""
+        """Give the line up, and try again after a while; raise what no waiting will cure."""
         self._safety.fail("no line to the robot")
         self._create.close()
         self._guard.take_back()
+        waited_ns = self._port.clock.now_ns() - self._began_ns
+        if isinstance(error, _NO_PORT) and not self._ever and waited_ns > self._patience_ns:
+            raise error
         self._telemetry = self._told = None
         if self._port.stopping or self._orphaned():
             return
         self._port.report("error", str(error), **self._values(self._port.clock.now_ns()))
         self._port.count("line_failures")
+        if isinstance(error, SilentError):
+            self._port.ready()  # a robot that is off is no reason to stop everybody else
         wait_s = _BACK_OFF_S[min(self._failures, len(_BACK_OFF_S) - 1)]
         self._failures += 1
         end_ns = self._port.clock.now_ns() + round(wait_s * 1e9)
