@@ -124,6 +124,7 @@ def test_a_robot_that_bumps_into_a_wall_stops_and_can_back_off(tmp_path):
         wall = robot.pose[0]
         for _ in range(5):  # each push backs off for a second at most
             rig.arm()
+            time.sleep(0.2)  # the hand lets go before it pulls
             rig.operator.stick = (-0.15, 0.0)
             end = time.monotonic() + 1.5
             while time.monotonic() < end and robot.pose[0] > wall - 0.02:
