@@ -15,6 +15,9 @@ from runtime.messages import DiagnosticArray, DiagnosticStatus, KeyValue, encode
 STATUS_TOPIC = "recording"
 """Under the robot's name, in files only: what the recorder could not keep."""
 STATUS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
+END_RECORD = "hallway.end"
+"""Metadata at the end of a file: the counts, and why it ended."""
+DISK_FULL = "the disk was full"
 FLUSH_NS = 1_000_000_000
 RING_FILES = 10
 
@@ -107,6 +110,7 @@ class Recording:
         self.files: list[Path] = _earlier(path) if config.ring_s else []
         self._opened = _number_of(self.files[-1]) + 1 if self.files else 0
         self._flushed_ns = now_ns
+        self._flushed_count = 0
         self._writer: McapWriter | None = None
         if not self._no_space():
             self._open(now_ns)
@@ -137,6 +141,7 @@ class Recording:
         try:
             self._write_status(self._writer, now_ns)
             self._writer.flush(to_disk=True)
+            self._flushed_count = self.counts.written
         except OSError:
             self._give_up()
             return
@@ -201,16 +206,21 @@ class Recording:
     def _finish(self, now_ns: int) -> None:
         assert self._writer is not None
         writer, self._writer = self._writer, None
+        why = {"ended_ns": str(now_ns), "ended": DISK_FULL if self.full else "as asked"}
         try:
             self._write_status(writer, now_ns)
-            writer.finish({"hallway.end": {**self._summary(), "ended_ns": str(now_ns)}})
+            writer.finish({END_RECORD: {**self._summary(), **why}})
+            self._flushed_count = self.counts.written
         except OSError:
             writer.abandon()
-            self.full = True
+            self._give_up()
 
     def _give_up(self) -> None:
         """Stop after a write error; what was flushed stays readable under its unfinished name."""
         self.full = True
+        # Nobody knows how much of the last second still got through: all of it counts as lost.
+        self.counts.unwritten += self.counts.written - self._flushed_count
+        self.counts.written = self._flushed_count
         if self._writer is not None:
             self._writer.abandon()
             self._writer = None

@@ -6,7 +6,7 @@ from typing import Any
 
 from runtime.formats.mcap_log import Gaps, McapReader
 from runtime.messages import BadMessageError, decode
-from runtime.recording import STATUS_TOPIC, STATUS_TYPE
+from runtime.recording import DISK_FULL, END_RECORD, STATUS_TOPIC, STATUS_TYPE
 
 MOST_GAPS = 20
 """Gaps that are listed one by one; the rest is in the sums."""
@@ -48,6 +48,8 @@ def describe(path: Path) -> dict[str, Any]:
     missing = state.losses()
     missing += [f"{n} messages of {topic}, by its sequence numbers" for topic, n in gaps.missing.items()]
     missing += _told_losses(status)
+    if state.metadata.get(END_RECORD, {}).get("ended") == DISK_FULL:
+        missing.append(f"everything after its end, because {DISK_FULL}")
     return {
         "file": str(path),
         "kind": "MCAP recording",

@@ -24,7 +24,21 @@ CHUNK_BYTES = 256 * 1024
 ACTIVE_SUFFIX = ".active"
 """What is added to the name of a file that is being written, or that was cut."""
 CHANNEL_RECORD = "hallway.channel"
-_QOS = "offered_qos_profiles"  # a key that ros2 bag wants to find
+QOS_KEY = "offered_qos_profiles"
+"""Metadata of a channel that `ros2 bag play` reads; empty for its defaults."""
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
+LATCHED_QOS = f"""\
+- history: keep_last
+  depth: 1
+  reliability: reliable
+  durability: transient_local
+  deadline: {_FOREVER}
+  lifespan: {_FOREVER}
+  liveliness: automatic
+  liveliness_lease_duration: {_FOREVER}
+  avoid_ros_namespace_conventions: false
+"""
+"""What a latched topic offers, so that it is latched again when the recording is played by ROS."""
 _MAX_RECORD_BYTES = 1 << 30
 
 
@@ -126,11 +140,12 @@ class McapWriter:
             text = TYPES.generate_msgdef(channel.msgtype, ros_version=2)[0]
             schema = self._writer.register_schema(channel.msgtype, "ros2msg", text.encode())
             self._schemas[channel.msgtype] = schema
-        metadata = {_QOS: "", **channel.metadata}
+        metadata = {QOS_KEY: "", **channel.metadata}
         number = self._writer.register_channel(channel.topic, "cdr", schema, metadata)
         # MCAP names a channel only in the chunk where it first appears; should that chunk be damaged,
         # this says again what the later ones hold.
-        named = {"id": str(number), "topic": channel.topic, "type": channel.msgtype, **channel.metadata}
+        named = {"id": str(number), "topic": channel.topic, "type": channel.msgtype}
+        named |= {key: value for key, value in channel.metadata.items() if key != QOS_KEY}
         self._writer.add_metadata(CHANNEL_RECORD, named)
         return int(number)
 
@@ -212,7 +227,7 @@ class McapReader:
                 types[record.id] = record.name
             elif isinstance(record, Channel):
                 msgtype = types.get(record.schema_id, "")
-                metadata = {k: v for k, v in record.metadata.items() if k != _QOS}
+                metadata = {k: v for k, v in record.metadata.items() if k != QOS_KEY}
                 channels[record.id] = McapChannel(record.topic, msgtype, metadata)
             elif isinstance(record, Message):
                 channel = channels.get(record.channel_id)
@@ -254,6 +269,8 @@ class McapReader:
                     return
                 if isinstance(record, Chunk):
                     try:
+                        if record.uncompressed_size > _MAX_RECORD_BYTES:
+                            raise ValueError("the size of the chunk is damaged")
                         parts = breakup_chunk(record, validate_crc=True)
                     except Exception:  # noqa: BLE001 (as above; the next chunk may be good)
                         state.damaged_chunks += 1

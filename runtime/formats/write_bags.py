@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from runtime.formats.laser_log import LaserLog
-from runtime.formats.mcap_log import McapChannel, McapMessage, McapWriter
+from runtime.formats.mcap_log import LATCHED_QOS, McapChannel, McapMessage, McapWriter
 from runtime.formats.tum import Trajectory
 from runtime.messages import (
     TYPES,
@@ -23,6 +23,7 @@ from runtime.messages import (
     encode,
     header,
 )
+from runtime.topics import TOPICS
 
 SCAN_CHANNEL = McapChannel("/robot/scan", "sensor_msgs/msg/LaserScan", {"gid": "00" * 16})
 POSE_CHANNEL = McapChannel("/robot/pose", "geometry_msgs/msg/PoseStamped", {"gid": "00" * 16})
@@ -75,6 +76,7 @@ def write_mcap(path: Path, messages: Iterable[McapMessage], about: dict[str, str
 def write_ros2(folder: Path, messages: Iterable[McapMessage]) -> int:
     """Write messages into the folder of a ROS 2 bag; return how many."""
     from rosbags.rosbag2 import Writer
+    from rosbags.rosbag2.metadata import parse_qos
 
     count = 0
     connections: dict[str, Any] = {}
@@ -82,8 +84,10 @@ def write_ros2(folder: Path, messages: Iterable[McapMessage]) -> int:
         for message in messages:
             channel = message.channel
             if channel.topic not in connections:
+                row = TOPICS.get(channel.name)
+                offered = parse_qos(LATCHED_QOS) if row is not None and row.latched else []
                 connections[channel.topic] = writer.add_connection(
-                    channel.topic, channel.msgtype, typestore=TYPES
+                    channel.topic, channel.msgtype, typestore=TYPES, offered_qos_profiles=offered
                 )
             writer.write(connections[channel.topic], message.log_ns, message.payload)
             count += 1

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from runtime.errors import DataLostError
-from runtime.formats.mcap_log import McapChannel
+from runtime.formats.mcap_log import LATCHED_QOS, QOS_KEY, McapChannel
 from runtime.messages import topic_key
 from runtime.port import Port, Received, Subscription
 from runtime.recording import Recording, RecordingConfig
@@ -117,9 +117,10 @@ def _drain(
 def _channel(port: Port, received: Received) -> McapChannel:
     row = topic_named(received.topic)
     name = f"{port.robot}/{row.name}"
-    return McapChannel(
-        f"/{name}", row.type, {"gid": received.gid.hex(), "zenoh_key": topic_key(name, row.type)}
-    )
+    metadata = {"gid": received.gid.hex(), "zenoh_key": topic_key(name, row.type)}
+    if row.latched:
+        metadata[QOS_KEY] = LATCHED_QOS
+    return McapChannel(f"/{name}", row.type, metadata)
 
 
 def _tell(port: Port, recording: Recording) -> None:

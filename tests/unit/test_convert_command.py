@@ -113,6 +113,10 @@ def test_a_recording_goes_into_a_ros_2_bag_with_all_its_topics(recording, tmp_pa
         assert {one.topic: one.msgcount for one in bag.connections} == {
             "/robot/odom": 3, "/robot/trajectory": 1, "/robot/diagnostics": 1,
         }  # fmt: skip
+        offered = {one.topic: one.ext.offered_qos_profiles for one in bag.connections}
+    assert offered["/robot/odom"] == []
+    (latched,) = offered["/robot/trajectory"]
+    assert (latched.durability.name, latched.depth) == ("TRANSIENT_LOCAL", 1)
 
 
 def test_a_ros_1_bag_holds_the_scans_only_and_says_so(recording, tmp_path, capsys):

@@ -51,6 +51,16 @@ def test_a_killed_recording_says_so_and_what_it_lost(tmp_path, capsys):
     assert report["gaps"] == [{"topic": "/robot/scan", "at_s": 0.4, "first": 3, "count": 2}]
 
 
+def test_a_recording_that_ended_on_a_full_disk_says_so(tmp_path, capsys):
+    free = [10**12]
+    rec = Recording(tmp_path / "a.mcap", "robot", RecordingConfig(), 0, free_bytes=lambda folder: free[0])
+    free[0] = 10**6
+    rec.tick(2 * S, {})
+    code, report = info(capsys, tmp_path / "a.mcap")
+    assert code == 4
+    assert report["missing"] == ["everything after its end, because the disk was full"]
+
+
 def test_people_get_a_table(tmp_path, capsys):
     recorded(tmp_path / "a.mcap", [1, 2, 5]).close(3 * S)
     assert main(["info", str(tmp_path / "a.mcap")]) == 4

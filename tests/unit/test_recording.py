@@ -256,6 +256,7 @@ def test_the_disk_is_never_filled_to_the_end(tmp_path):
     assert state.complete
     assert [m.sequence for m in messages if m.channel == SCAN] == [1, 2]
     assert rec.counts.unwritten == 1
+    assert state.metadata["hallway.end"]["ended"] == "the disk was full"
 
 
 def test_a_disk_that_is_full_from_the_start_makes_no_file(tmp_path):
@@ -278,7 +279,7 @@ def test_a_write_that_fails_leaves_what_was_flushed(tmp_path):
     rec.tick(2 * S, {})
     rec.add(SCAN, 3, 3, 3, payload(3))
     assert rec.full
-    assert rec.counts.unwritten == 1
+    assert (rec.counts.written, rec.counts.unwritten) == (1, 2)
     assert [m.sequence for m in read(tmp_path / "a.mcap.active")[0] if m.channel == SCAN] == [1]
 
 

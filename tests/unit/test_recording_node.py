@@ -112,6 +112,24 @@ def test_a_burst_beyond_the_mailbox_is_counted_inside_the_file(bus, tmp_path):
     assert decode(status.payload, status.channel.msgtype).status[0].message == "7 messages lost"
 
 
+def test_ros_is_told_which_topics_are_latched(bus, tmp_path):
+    from mcap.reader import make_reader
+
+    with publisher(bus, "map", "scan") as source:
+
+        def say(turn):
+            source.publish_raw("map", b"m")
+            source.publish_raw("scan", b"s")
+            return turn == 2
+
+        record_while(bus, tmp_path, say)
+    with (tmp_path / "a.mcap").open("rb") as file:
+        channels = make_reader(file).get_summary().channels.values()
+    offered = {channel.topic: channel.metadata["offered_qos_profiles"] for channel in channels}
+    assert offered["/robot/scan"] == ""
+    assert "durability: transient_local" in offered["/robot/map"]
+
+
 def test_a_publisher_that_was_started_again_is_another_channel_and_no_hole(bus, tmp_path):
     def say(turn):
         if turn in (1, 3):
