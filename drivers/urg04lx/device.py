@@ -8,10 +8,8 @@ import os
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.errors import (
     DeviceError,
@@ -28,6 +26,7 @@ from drivers.urg04lx import connect
 from drivers.urg04lx.clockmap import ClockMap, Sequence
 from drivers.urg04lx.connect import Identity
 from drivers.urg04lx.decoder import Decoder, Reply, ScanReply
+from drivers.urg04lx.events import Connected, Event, Notice, UrgScan
 from drivers.urg04lx.geometry import Sweep, to_ranges
 from drivers.urg04lx.link import POLL_S, Link, Stream, Waiting
 from drivers.urg04lx.protocol import LF, StreamRequest
@@ -40,45 +39,6 @@ _READY_S = 10.0
 """After plugging in, a sensor may need this long until it answers."""
 _FAULT_WAIT_S, _FAULT_TRIES, _FAULT_RETRY_S = 2.0, 5, 30.0
 _STOP_S = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class Notice:
-    """Something people should know; the newest one describes the present state."""
-
-    level: str
-    """ok, warn or error."""
-    text: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Connected:
-    """The sensor streams from now on."""
-
-    path: str
-    baud: int
-    identity: Identity
-    request: StreamRequest
-    sweep: Sweep
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class UrgScan:
-    """One scan."""
-
-    stamp_ns: int
-    """Host time of the first ray, by the clock the device was given."""
-    arrival_ns: int
-    """Host time of the first byte."""
-    sensor_ms: int
-    """The sensor's own stamp, of step 0."""
-    ranges_m: NDArray[np.float32]
-    """(count,) NaN = no information."""
-    valid: int
-    """How many are distances."""
-
-
-Event = Notice | Connected | UrgScan
 
 
 class Urg:

@@ -5,8 +5,9 @@ from types import TracebackType
 from typing import Any
 
 from drivers.transport import SerialStream
-from drivers.urg04lx.device import Connected, Notice, Urg, UrgScan
+from drivers.urg04lx.device import Urg
 from drivers.urg04lx.emulator import Emulator
+from drivers.urg04lx.events import Connected, Notice, UrgScan
 from drivers.urg04lx.link import POLL_S
 from drivers.urg04lx.reader import UrgReader
 from drivers.urg04lx.settings import UrgConfig

@@ -9,7 +9,8 @@ from collections import deque
 from types import TracebackType
 
 from drivers.errors import DeviceError
-from drivers.urg04lx.device import Event, Urg, UrgScan
+from drivers.urg04lx.device import Urg
+from drivers.urg04lx.events import Event, UrgScan
 
 _JOIN_S = 5.0
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.urg04lx.clockmap import ClockConfig
-from drivers.urg04lx.device import Connected, Notice, Urg, UrgScan
+from drivers.urg04lx.device import Urg
+from drivers.urg04lx.events import Connected, Notice, UrgScan
 from drivers.urg04lx.geometry import Sweep
 from drivers.urg04lx.reader import UrgReader
 from drivers.urg04lx.settings import UrgConfig

@@ -13,7 +13,8 @@ from drivers.urg04lx.emulator import Emulator
 
 DRIVER = """
 import json, resource, sys, time
-from drivers.urg04lx.device import Urg, UrgScan
+from drivers.urg04lx.device import Urg
+from drivers.urg04lx.events import UrgScan
 from drivers.urg04lx.reader import UrgReader
 from drivers.urg04lx.settings import UrgConfig
 

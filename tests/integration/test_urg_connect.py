@@ -11,8 +11,8 @@ import pytest
 from drivers.errors import PortBusyError, PortForbiddenError, PortMissingError, ProtocolError
 from drivers.ports import UsbPort
 from drivers.transport import SerialStream
-from drivers.urg04lx.device import UrgScan
 from drivers.urg04lx.emulator import Emulator
+from drivers.urg04lx.events import UrgScan
 from drivers.urg04lx.model import URG_04LX, URG_04LX_UG01, Mode
 from drivers.urg04lx.pair import Session, attach
 from drivers.urg04lx.protocol import StreamRequest

@@ -12,8 +12,8 @@ import pytest
 
 from drivers.transport import SerialStream
 from drivers.urg04lx import faults
-from drivers.urg04lx.device import Connected, UrgScan
 from drivers.urg04lx.emulator import Emulator
+from drivers.urg04lx.events import Connected, UrgScan
 from drivers.urg04lx.model import Mode
 from drivers.urg04lx.pair import Session, attach
 from drivers.urg04lx.reader import UrgReader
@@ -149,7 +149,8 @@ def test_signals_at_a_hundred_hertz_interrupt_nothing():
 # What is started and killed: it forks the driver on demand, so that its imports are paid for once.
 DRIVER = """
 import os, signal, sys, time
-from drivers.urg04lx.device import Urg, UrgScan
+from drivers.urg04lx.device import Urg
+from drivers.urg04lx.events import UrgScan
 from drivers.urg04lx.settings import UrgConfig
 
 def drive(port):

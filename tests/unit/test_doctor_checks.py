@@ -8,7 +8,7 @@ import pytest
 from drivers.errors import PortBusyError
 from drivers.ports import Holder, UsbPort
 from drivers.urg04lx.connect import Identity
-from drivers.urg04lx.device import Connected, Notice, UrgScan
+from drivers.urg04lx.events import Connected, Notice, UrgScan
 from drivers.urg04lx.geometry import Sweep
 from drivers.urg04lx.information import Parameters, Version
 from drivers.urg04lx.protocol import StreamRequest

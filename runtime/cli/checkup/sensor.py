@@ -10,7 +10,8 @@ from drivers.errors import DeviceError, PortBusyError, PortForbiddenError, PortM
 from drivers.transport import SerialStream
 from drivers.urg04lx import connect
 from drivers.urg04lx.decoder import Decoder
-from drivers.urg04lx.device import Connected, Notice, Urg, UrgScan
+from drivers.urg04lx.device import Urg
+from drivers.urg04lx.events import Connected, Notice, UrgScan
 from drivers.urg04lx.geometry import reply_bytes
 from drivers.urg04lx.link import Link
 from drivers.urg04lx.settings import UrgConfig
