@@ -22,6 +22,7 @@ FIRST_HOLD_NS = 200 * _MILLISECOND
 _GAP_MAX_NS = 180 * _MILLISECOND
 _GAP_MIN_NS = 90 * _MILLISECOND
 _GAPS = 3.0
+_LONGEST = 16
 
 _ESCAPES = {
     b"\x1b[A": "up", b"\x1b[B": "down", b"\x1b[C": "right", b"\x1b[D": "left",
@@ -105,17 +106,24 @@ class Keys:
         self._key, self._last_ns = key, now_ns
 
     def _split(self, data: bytes) -> list[str]:
+        """Return the keys of these bytes; a sequence that is none of ours counts as one unknown key."""
         keys = []
         for byte in data:
-            self._escape += bytes((byte,))
-            if self._escape in _ESCAPES:
-                keys.append(_ESCAPES[self._escape])
-            elif any(sequence.startswith(self._escape) for sequence in _ESCAPES):
+            if not self._escape and byte != 0x1B:
+                keys.append(chr(byte).lower())
                 continue
-            else:
-                keys += [chr(b) for b in self._escape if b != 0x1B]
-            self._escape = b""
-        return [key.lower() if len(key) == 1 else key for key in keys]
+            self._escape += bytes((byte,))
+            if _ended(self._escape):
+                keys.append(_ESCAPES.get(self._escape, "unknown"))
+                self._escape = b""
+        return keys
+
+
+def _ended(sequence: bytes) -> bool:
+    """Whether an escape sequence is complete: its letters must not be taken for keys."""
+    if len(sequence) < 3:
+        return len(sequence) == 2 and sequence[1:] not in (b"[", b"O")
+    return 0x40 <= sequence[-1] <= 0x7E or len(sequence) > _LONGEST
 
 
 class Keyboard:
