@@ -43,15 +43,17 @@ class OccupancyGrid:
         return picture
 
 
-def occupancy_of(cells: NDArray[np.float32], cell_m: float, origin_m: tuple[float, float]) -> OccupancyGrid:
+def occupancy_of(
+    stops: NDArray[np.float64], metres: NDArray[np.float64], cell_m: float, origin_m: tuple[float, float]
+) -> OccupancyGrid:
     """Turn stops and travelled metres into probabilities, and leave the border that nobody has seen.
 
     Args:
-        cells: (rows, cols, 2 or more): stops, metres.
+        stops: (rows, cols) rays that ended in each cell.
+        metres: (rows, cols) that rays travelled through it.
         cell_m: Side of a cell.
         origin_m: Lower left corner of the first cell.
     """
-    stops, metres = cells[..., 0].astype(np.float64), cells[..., 1].astype(np.float64)
     seen = stops + metres / cell_m >= LEAST_SEEN
     density = (stops + PRIOR_DENSITY * PRIOR_M) / (metres + PRIOR_M)
     probability = np.where(seen, 1.0 - np.exp(-density * cell_m), np.nan).astype(np.float32)

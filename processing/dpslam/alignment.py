@@ -12,6 +12,7 @@ from processing.dpslam.grid import (
     _STORE,
     BLOCK_M,
     BLOCKS,
+    MOMENTS,
     NONE,
     Arrays,
     Table,
@@ -29,7 +30,7 @@ points end depends on where the cell lies. Its long variance is stretched by thi
 ITERATIONS = 12
 
 
-@njit(f"b1({_STORE}, i4[:,:,::1], i8, i8, i8, i8, i8, f8[::1])", cache=True, nogil=True)
+@njit(f"b1({_STORE}, i4[:,:,::1], i8, i8, i8, i8, i8, f8[:,::1], i8)", cache=True, nogil=True)
 def _normal(
     store: Arrays,
     table: Table,
@@ -38,36 +39,38 @@ def _normal(
     first_col: int,
     block_row: int,
     block_col: int,
-    out: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    slot: int,
 ) -> bool:
     """Write mean x, y and inverse covariance xx, xy, yy of the NDT cell from that block on; False if there is none.
 
     The mean is counted from the lower left corner of the block (block_row, block_col).
     """
-    blocks = store[1]
+    blocks = store[2]
     rows, cols = table.shape[1], table.shape[2]
     n = sx = sy = sxx = sxy = syy = 0.0
     for j in range(SPAN):
         for i in range(SPAN):
             row, col = block_row + j, block_col + i
-            tile_row, tile_col = row // BLOCKS, col // BLOCKS
+            tile_row, tile_col = row >> 3, col >> 3
             at_row, at_col = tile_row - first_row, tile_col - first_col
             if at_row < 0 or at_row >= rows or at_col < 0 or at_col >= cols:
                 continue
             tile = table[particle, at_row, at_col]
             if tile == NONE:
                 continue
-            b = blocks[tile, row - tile_row * BLOCKS, col - tile_col * BLOCKS]
-            w = float(b[0])
+            at = ((row - tile_row * BLOCKS) * BLOCKS + col - tile_col * BLOCKS) * MOMENTS
+            w = float(blocks[tile, at])
             if w <= 0.0:
                 continue
+            bx, by = float(blocks[tile, at + 1]), float(blocks[tile, at + 2])
             ox, oy = i * BLOCK_M, j * BLOCK_M
             n += w
-            sx += b[1] + w * ox
-            sy += b[2] + w * oy
-            sxx += b[3] + 2.0 * ox * b[1] + w * ox * ox
-            sxy += b[4] + ox * b[2] + oy * b[1] + w * ox * oy
-            syy += b[5] + 2.0 * oy * b[2] + w * oy * oy
+            sx += bx + w * ox
+            sy += by + w * oy
+            sxx += blocks[tile, at + 3] + 2.0 * ox * bx + w * ox * ox
+            sxy += blocks[tile, at + 4] + ox * by + oy * bx + w * ox * oy
+            syy += blocks[tile, at + 5] + 2.0 * oy * by + w * oy * oy
     if n < LEAST_WEIGHT:
         return False
     mx, my = sx / n, sy / n
@@ -82,8 +85,8 @@ def _normal(
     if long > LONG * short:
         long *= STRETCH
     a, b_ = 1.0 / long, 1.0 / short
-    out[0], out[1] = mx, my
-    out[2], out[3], out[4] = a * c * c + b_ * s * s, (a - b_) * c * s, a * s * s + b_ * c * c
+    normals[slot, 0], normals[slot, 1] = mx, my
+    normals[slot, 2], normals[slot, 3], normals[slot, 4] = a * c * c + b_ * s * s, (a - b_) * c * s, a * s * s + b_ * c * c
     return True
 
 
@@ -154,15 +157,15 @@ def align(
                         keys[h] = key
                         built += 1
                         slots[h] = NONE
-                        if _normal(store, table, particle, first_row, first_col, row, col, normals[h]):
+                        if _normal(store, table, particle, first_row, first_col, row, col, normals, h):
                             slots[h] = h
                     if keys[h] != key or slots[h] == NONE:
                         continue
                     met = True
-                    n = normals[h]
-                    qx = (u - col) * BLOCK_M - n[0]
-                    qy = (v - row) * BLOCK_M - n[1]
-                    wx, wy = n[2] * qx + n[3] * qy, n[3] * qx + n[4] * qy
+                    qx = (u - col) * BLOCK_M - normals[h, 0]
+                    qy = (v - row) * BLOCK_M - normals[h, 1]
+                    xx, xy, yy = normals[h, 2], normals[h, 3], normals[h, 4]
+                    wx, wy = xx * qx + xy * qy, xy * qx + yy * qy
                     m = qx * wx + qy * wy
                     if m > 30.0:
                         continue
@@ -173,10 +176,10 @@ def align(
                     g[0] += e * wx
                     g[1] += e * wy
                     g[2] += e * wa
-                    ax, ay = -ry * n[2] + rx * n[3], -ry * n[3] + rx * n[4]
-                    H[0, 0] += e * n[2]
-                    H[0, 1] += e * n[3]
-                    H[1, 1] += e * n[4]
+                    ax, ay = -ry * xx + rx * xy, -ry * xy + rx * yy
+                    H[0, 0] += e * xx
+                    H[0, 1] += e * xy
+                    H[1, 1] += e * yy
                     H[0, 2] += e * ax
                     H[1, 2] += e * ay
                     H[2, 2] += e * (-ry * ax + rx * ay)

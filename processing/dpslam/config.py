@@ -26,7 +26,7 @@ class DpSlamConfig:
     prior_rad: float = 0.02
     """The same in rotation, 0.001 .. 0.5."""
     memory: float = 60.0
-    """Observations of a cell after which it starts to forget, 5 .. 1e6: what has moved away fades."""
+    """Observations of a cell after which it starts to forget, 5 .. 150: what has moved away fades."""
     range_max_m: float = 50.0
     """Readings farther away are left out of the maps, 1 .. 1000."""
 
@@ -50,6 +50,6 @@ _RANGES = {
     "tempering": (0.001, 1.0),
     "prior_m": (0.001, 1.0),
     "prior_rad": (0.001, 0.5),
-    "memory": (5, 1e6),
+    "memory": (5, 150),
     "range_max_m": (1.0, 1000.0),
 }

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from processing import se2
 from processing.dpslam.config import DpSlamConfig
-from processing.dpslam.grid import CELL_M
+from processing.dpslam.grid import CELL_M, METRES, STOPS
 from processing.dpslam.loops import Loops
 from processing.dpslam.memory import KeyScans
 from processing.dpslam.population import Population
@@ -111,7 +111,8 @@ class DpSlam:
     def occupancy(self) -> OccupancyGrid:
         """Return the best particle's map."""
         cells, corner = self.population.store.dense(self.population.best)
-        return occupancy_of(cells, CELL_M, (corner[1] * CELL_M, corner[0] * CELL_M))
+        stops, metres = cells[..., 0] / STOPS, cells[..., 1] / METRES
+        return occupancy_of(stops, metres, CELL_M, (corner[1] * CELL_M, corner[0] * CELL_M))
 
     def _is_key(self, key_t_laser: Pose) -> bool:
         c = self.config

@@ -5,7 +5,8 @@ owner copies it first (copy on write), and a tile without owner goes back to the
 at the grain of a tile: a look-up costs one table read instead of a walk through the lineage, and memory grows with
 what the particles see differently, not with particles times area.
 
-A cell holds (stops, travelled metres, sum of end point offsets x, y from the cell's corner in metres).
+A cell holds its stops and the metres travelled through it, and apart from them, because rays that pass do not read it,
+the mean of its end points; all in 16 bit fixed point, for the time of an update is the time to reach memory.
 A block of 4 x 4 cells holds the moments (n, x, y, xx, xy, yy) of its occupied cells, kept beside the tile so that
 particles who share a tile share the matcher's reference too.
 """
@@ -25,11 +26,24 @@ BLOCKS = TILE // BLOCK
 BLOCK_M = BLOCK * CELL_M
 NONE = -1
 
-Cells: TypeAlias = NDArray[np.float32]
+Cells: TypeAlias = NDArray[np.uint16]
+Blocks: TypeAlias = NDArray[np.float32]
 Table: TypeAlias = NDArray[np.int32]
 
-_STORE = "Tuple((f4[:,:,:,::1], f4[:,:,:,::1], u1[:,:,::1], i4[::1], i4[::1], i8[::1]))"
-"""Type of `TileStore.arrays`: cells, blocks, stale blocks, owners, free tiles, number of free tiles."""
+MOMENTS = 6
+CELL_VALUES = TILE * TILE * 2
+BLOCK_VALUES = BLOCKS * BLOCKS * MOMENTS
+STOPS = 256.0
+"""Units of one stop."""
+METRES = 8192.0
+"""Units of one metre of travel."""
+PLACES = 65536.0
+"""Units of the side of a cell, for end points."""
+
+_STORE = "Tuple((u2[:,::1], u2[:,::1], f4[:,::1], u1[:,::1], i4[::1], i4[::1], i8[::1]))"
+"""Type of `TileStore.arrays`, one row a tile: stops and metres (row, column, two), mean end points (row, column, x, y),
+blocks (row, column, moment), which blocks are stale, owners, free tiles, number of free tiles. Rows are flat: compiled
+loops copy them as one stretch."""
 
 Arrays: TypeAlias = tuple[
     Cells, Cells, NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]
@@ -39,20 +53,28 @@ Arrays: TypeAlias = tuple[
 @njit(f"i4({_STORE}, i4[:,:,::1], i8, i8, i8)", cache=True, nogil=True)
 def own_tile(store: Arrays, table: Table, particle: int, row: int, col: int) -> int:
     """Return the number of a tile that this particle alone owns: fresh, copied, or already its own."""
-    cells, blocks, stale, owners, free, count = store
+    cells, ends, blocks, stale, owners, free, count = store
     tile = table[particle, row, col]
     if tile != NONE and owners[tile] == 1:
         return int(tile)
     count[0] -= 1
     mine = free[count[0]]
     if tile == NONE:
-        cells[mine] = 0.0
-        blocks[mine] = 0.0
-        stale[mine] = 0
+        for k in range(CELL_VALUES):
+            cells[mine, k] = 0
+            ends[mine, k] = 0
+        for k in range(BLOCK_VALUES):
+            blocks[mine, k] = 0.0
+        for k in range(BLOCKS * BLOCKS):
+            stale[mine, k] = 0
     else:
-        cells[mine] = cells[tile]
-        blocks[mine] = blocks[tile]
-        stale[mine] = stale[tile]
+        for k in range(CELL_VALUES):
+            cells[mine, k] = cells[tile, k]
+            ends[mine, k] = ends[tile, k]
+        for k in range(BLOCK_VALUES):
+            blocks[mine, k] = blocks[tile, k]
+        for k in range(BLOCKS * BLOCKS):
+            stale[mine, k] = stale[tile, k]
         owners[tile] -= 1
     owners[mine] = 1
     table[particle, row, col] = mine
@@ -62,7 +84,7 @@ def own_tile(store: Arrays, table: Table, particle: int, row: int, col: int) -> 
 @njit(f"void({_STORE}, i4[:,:,::1], i4[::1])", cache=True, nogil=True)
 def _resample(store: Arrays, table: Table, parents: NDArray[np.int32]) -> None:
     """Give particle i the map of particle `parents[i]`; a surviving particle keeps its own place."""
-    _cells, _blocks, _stale, owners, free, count = store
+    owners, free, count = store[4], store[5], store[6]
     particles, rows, cols = table.shape
     for i in range(particles):
         parent = parents[i]
@@ -103,13 +125,12 @@ class TileStore:
     @property
     def tiles_used(self) -> int:
         """Number of tiles with at least one owner."""
-        return int(self.arrays[3].shape[0] - self.arrays[5][0])
+        return int(self.arrays[4].shape[0] - self.arrays[6][0])
 
     @property
     def bytes_used(self) -> int:
         """Memory of the used tiles and of all tables."""
-        cells, blocks, stale = self.arrays[:3]
-        each = (cells.nbytes + blocks.nbytes + stale.nbytes) // cells.shape[0]
+        each = sum(array.nbytes for array in self.arrays[:4]) // self.arrays[0].shape[0]
         return self.tiles_used * each + self.table.nbytes
 
     def resample(self, parents: NDArray[np.int32]) -> None:
@@ -126,7 +147,7 @@ class TileStore:
 
     def clear(self) -> None:
         """Empty the maps of all particles."""
-        owners, free, count = self.arrays[3:]
+        owners, free, count = self.arrays[4:]
         self.table[:] = NONE
         owners[:] = 0
         # Old numbers on top: memory that was used already is taken again before untouched memory is.
@@ -136,7 +157,7 @@ class TileStore:
     def share(self, particle: int) -> None:
         """Give the map of one particle to all others, whose maps must be empty."""
         self.table[:] = self.table[particle]
-        self.arrays[3][self.table[particle][self.table[particle] != NONE]] = self.table.shape[0]
+        self.arrays[4][self.table[particle][self.table[particle] != NONE]] = self.table.shape[0]
 
     def cover(self, low_m: NDArray[np.float64], high_m: NDArray[np.float64]) -> None:
         """Make the tables cover the rectangle from `low_m` to `high_m` (x, y), map frame."""
@@ -161,40 +182,47 @@ class TileStore:
 
     def reserve(self, tiles: int) -> None:
         """Make sure that at least `tiles` tiles are free."""
-        owners, count = self.arrays[3], self.arrays[5]
+        owners, count = self.arrays[4], self.arrays[6]
         lacking = tiles - int(count[0])
         if lacking <= 0:
             return
         size = owners.shape[0]
         grown = _empty(size + max(lacking, size // 2))
-        for old, new in zip(self.arrays[:4], grown[:4], strict=True):
+        for old, new in zip(self.arrays[:5], grown[:5], strict=True):
             new[:size] = old
-        free = grown[4]
-        fresh = grown[3].shape[0] - size
+        free = grown[5]
+        fresh = grown[4].shape[0] - size
         # Old numbers on top: a tile that was used already is taken again before untouched memory is.
-        free[:fresh] = np.arange(grown[3].shape[0] - 1, size - 1, -1)
-        free[fresh : fresh + int(count[0])] = self.arrays[4][: int(count[0])]
-        grown[5][0] = fresh + int(count[0])
+        free[:fresh] = np.arange(grown[4].shape[0] - 1, size - 1, -1)
+        free[fresh : fresh + int(count[0])] = self.arrays[5][: int(count[0])]
+        grown[6][0] = fresh + int(count[0])
         self.arrays = grown
 
     def dense(self, particle: int) -> tuple[Cells, tuple[int, int]]:
-        """Return one particle's whole map (rows, cols, 4) and the cell (row, col) of its lower left corner."""
-        cells, table, e = self.arrays[0], self.table[particle], self.extent
-        out = np.zeros((e.rows * TILE, e.cols * TILE, cells.shape[3]), dtype=np.float32)
+        """Return one particle's whole map and the cell (row, col) of its lower left corner.
+
+        The map is (rows, cols, 4): stops, metres, mean end point x and y, in the units of this module.
+        """
+        cells, ends = self.arrays[:2]
+        table, e = self.table[particle], self.extent
+        out = np.zeros((e.rows * TILE, e.cols * TILE, 4), dtype=np.uint16)
         for row, col in zip(*np.nonzero(table != NONE), strict=True):
-            out[row * TILE : (row + 1) * TILE, col * TILE : (col + 1) * TILE] = cells[table[row, col]]
+            part = out[row * TILE : (row + 1) * TILE, col * TILE : (col + 1) * TILE]
+            part[..., :2] = cells[table[row, col]].reshape(TILE, TILE, 2)
+            part[..., 2:] = ends[table[row, col]].reshape(TILE, TILE, 2)
         return out, (e.first_row * TILE, e.first_col * TILE)
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return the arrays, used tiles only; `restore` takes them back."""
-        used = np.flatnonzero(self.arrays[3] > 0).astype(np.int32)
+        used = np.flatnonzero(self.arrays[4] > 0).astype(np.int32)
         e = self.extent
-        cells, blocks, stale, owners, free, count = self.arrays
+        cells, ends, blocks, stale, owners, free, count = self.arrays
         return {
             "table": self.table.copy(),
             "extent": np.array((e.first_row, e.first_col, e.rows, e.cols)),
             "used": used,
             "cells": cells[used],
+            "ends": ends[used],
             "blocks": blocks[used],
             "stale": stale[used],
             "owners": owners.copy(),
@@ -206,8 +234,8 @@ class TileStore:
         self.table = state["table"].copy()
         self.extent = Extent(*(int(v) for v in state["extent"]))
         self.arrays = _empty(state["owners"].shape[0])
-        cells, blocks, stale, owners, free, count = self.arrays
-        for array, name in ((cells, "cells"), (blocks, "blocks"), (stale, "stale")):
+        cells, ends, blocks, stale, owners, free, count = self.arrays
+        for array, name in ((cells, "cells"), (ends, "ends"), (blocks, "blocks"), (stale, "stale")):
             array[state["used"]] = state[name]
         owners[:] = state["owners"]
         free[: state["free"].shape[0]] = state["free"]
@@ -217,9 +245,10 @@ class TileStore:
 def _empty(tiles: int) -> Arrays:
     return (
         # Untouched pages of a fresh array cost nothing, so the pool may be larger than what is in use.
-        np.empty((tiles, TILE, TILE, 4), dtype=np.float32),
-        np.empty((tiles, BLOCKS, BLOCKS, 6), dtype=np.float32),
-        np.zeros((tiles, BLOCKS, BLOCKS), dtype=np.uint8),
+        np.empty((tiles, CELL_VALUES), dtype=np.uint16),
+        np.empty((tiles, CELL_VALUES), dtype=np.uint16),
+        np.empty((tiles, BLOCK_VALUES), dtype=np.float32),
+        np.zeros((tiles, BLOCKS * BLOCKS), dtype=np.uint8),
         np.zeros(tiles, dtype=np.int32),
         np.arange(tiles - 1, -1, -1, dtype=np.int32),
         np.array([tiles], dtype=np.int64),

@@ -105,7 +105,7 @@ def write_all(
     touched = np.empty(table.shape[1] * table.shape[2] + 1, dtype=np.int32)
     for p in range(begin, poses.shape[0]):
         place_rays(poses[p], rays, placed)
-        if store[5][0] < tiles_under(placed):
+        if store[6][0] < tiles_under(placed):
             return p
         write_rays(store, table, p, first_row, first_col, placed, memory, touched)
     return int(poses.shape[0])
@@ -137,7 +137,7 @@ def write_path(
         count = ends[k + 1] - ends[k]
         own[:count] = rays[ends[k] : ends[k + 1]]
         place_rays(path[k], own[:count], placed[:count])
-        if store[5][0] < tiles_under(placed[:count]):
+        if store[6][0] < tiles_under(placed[:count]):
             return k
         write_rays(store, table, 0, first_row, first_col, placed[:count], memory, touched)
     return int(path.shape[0])

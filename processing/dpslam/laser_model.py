@@ -3,7 +3,8 @@
 A cell that rays crossed for d metres and in which h of them stopped has the density rho = (h + rho0 d0) / (d + d0),
 where rho0 is the density of unseen space and d0 its strength. A ray stops within a stretch x of the cell with
 probability 1 - exp(-rho x). The likelihood of a reading is the sum, over the cells of its ray, of
-P(it came so far) P(it stops here) exp(-e^2 / 2 sigma^2), e being the reading's distance from the cell.
+P(it came so far) P(it stops here) N(e), where e is the reading's distance from the cell and N falls like a normal
+density from 1 at 0: N(e) = (1 - (e / 4 sigma)^2)^8, without its endless ends.
 """
 
 import numpy as np
@@ -15,7 +16,11 @@ from processing.dpslam.grid import (
     BLOCK,
     BLOCKS,
     CELL_M,
+    METRES,
+    MOMENTS,
     NONE,
+    PLACES,
+    STOPS,
     TILE,
     Arrays,
     Table,
@@ -26,28 +31,41 @@ PRIOR_DENSITY = 1.0 / 8.0
 """Stops per metre in unseen space."""
 PRIOR_M = 0.05
 """Metres of travel that the prior weighs as much as."""
-NEAR_M = 0.2
-"""How far before and behind a reading the likelihood looks for what stopped it: 4 sigma."""
+PRIOR_STOPS = PRIOR_DENSITY * PRIOR_M
 SIGMA_M = 0.05
+NEAR_M = 4.0 * SIGMA_M
+"""How far before and behind a reading the likelihood looks for what stopped it."""
 FLOOR = 0.01
 """Likelihood of a reading by whatever the map does not know: people, glass, dirt."""
 OCCUPIED = 0.25
 """A cell counts for the matcher's reference if a ray that crosses its width stops with this probability."""
+MOST_WEIGHT = 10.0
+"""Stops beyond which a cell weighs no more in the matcher's reference."""
+OPAQUE = 30.0
+"""Optical depth through which nothing comes."""
+
+_CELLS_PER_M = 20.0
+_TILE_BITS = 5
+_BLOCK_BITS = 2
+_NOWHERE = -(1 << 40)
+_STOPS_PER_METRES = METRES / STOPS
+_PRIOR_STOPS = PRIOR_STOPS * METRES
+_PRIOR_METRES = PRIOR_M * METRES
 
 
-@njit("UniTuple(f8, 4)(f8, f8)", cache=True, nogil=True)
-def _axis(start: float, end: float) -> tuple[float, float, float, float]:
-    """Prepare one axis of a walk over cells: first cell, step, way to the first border, way between borders.
+@njit("UniTuple(f8, 3)(f8, f8)", cache=True, nogil=True)
+def _axis(start: float, end: float) -> tuple[float, float, float]:
+    """Prepare one axis of a walk over cells: step, way to the first border, way between borders.
 
     `start` and `end` in cells; ways in fractions of the ray.
     """
     cell = np.floor(start)
     d = end - start
     if d > 0.0:
-        return cell, 1.0, (cell + 1.0 - start) / d, 1.0 / d
+        return 1.0, (cell + 1.0 - start) / d, 1.0 / d
     if d < 0.0:
-        return cell, -1.0, (cell - start) / d, -1.0 / d
-    return cell, 0.0, np.inf, np.inf
+        return -1.0, (cell - start) / d, -1.0 / d
+    return 0.0, np.inf, np.inf
 
 
 @njit("void(f8[::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True)
@@ -66,38 +84,43 @@ def place_rays(
 @njit("f8(f8, f8, f8)", cache=True, nogil=True)
 def stop_probability(stops: float, travelled: float, stretch: float) -> float:
     """Return the probability that a ray stops within `stretch` metres of a cell."""
-    density = (stops + PRIOR_DENSITY * PRIOR_M) / (travelled + PRIOR_M)
+    density = (stops + PRIOR_STOPS) / (travelled + PRIOR_M)
     return float(1.0 - np.exp(-density * stretch))
 
 
-@njit("void(f4[:,:,:,::1], f4[:,:,:,::1], u1[:,:,::1], i4)", cache=True, nogil=True)
+@njit("void(u2[:,::1], u2[:,::1], f4[:,::1], u1[:,::1], i4)", cache=True, nogil=True)
 def _renew_blocks(
-    cells: NDArray[np.float32], blocks: NDArray[np.float32], stale: NDArray[np.uint8], tile: int
+    cells: NDArray[np.uint16],
+    ends: NDArray[np.uint16],
+    blocks: NDArray[np.float32],
+    stale: NDArray[np.uint8],
+    tile: int,
 ) -> None:
     """Compute anew the moments of the tile's blocks whose cells have changed."""
-    stale[tile, 0, 0] &= 1
-    for block_row in range(BLOCKS):
-        for block_col in range(BLOCKS):
-            if stale[tile, block_row, block_col] == 0:
-                continue
-            stale[tile, block_row, block_col] = 0
-            n = sx = sy = sxx = sxy = syy = 0.0
-            for r in range(BLOCK):
-                for c in range(BLOCK):
-                    cell = cells[tile, block_row * BLOCK + r, block_col * BLOCK + c]
-                    if cell[0] <= 0.0 or stop_probability(cell[0], cell[1], CELL_M) < OCCUPIED:
-                        continue
-                    w = min(float(cell[0]), 10.0)
-                    px, py = cell[2] / cell[0] + c * CELL_M, cell[3] / cell[0] + r * CELL_M
-                    n += w
-                    sx += w * px
-                    sy += w * py
-                    sxx += w * px * px
-                    sxy += w * px * py
-                    syy += w * py * py
-            block = blocks[tile, block_row, block_col]
-            block[0], block[1], block[2] = n, sx, sy
-            block[3], block[4], block[5] = sxx, sxy, syy
+    stale[tile, 0] &= 1
+    for block in range(BLOCKS * BLOCKS):
+        if stale[tile, block] == 0:
+            continue
+        stale[tile, block] = 0
+        n = sx = sy = sxx = sxy = syy = 0.0
+        corner = ((block // BLOCKS) * BLOCK * TILE + (block % BLOCKS) * BLOCK) * 2
+        for r in range(BLOCK):
+            for c in range(BLOCK):
+                at = corner + (r * TILE + c) * 2
+                stops, metres = cells[tile, at] / STOPS, cells[tile, at + 1] / METRES
+                if stops <= 0.0 or stop_probability(stops, metres, CELL_M) < OCCUPIED:
+                    continue
+                w = min(stops, MOST_WEIGHT)
+                px, py = (c + ends[tile, at] / PLACES) * CELL_M, (r + ends[tile, at + 1] / PLACES) * CELL_M
+                n += w
+                sx += w * px
+                sy += w * py
+                sxx += w * px * px
+                sxy += w * px * py
+                syy += w * py * py
+        at = block * MOMENTS
+        blocks[tile, at], blocks[tile, at + 1], blocks[tile, at + 2] = n, sx, sy
+        blocks[tile, at + 3], blocks[tile, at + 4], blocks[tile, at + 5] = sxx, sxy, syy
 
 
 @njit(f"i8({_STORE}, i4[:,:,::1], i8, i8, i8, f8[:,::1], f8, i4[::1])", cache=True, nogil=True)
@@ -119,54 +142,60 @@ def write_rays(
     Returns:
         The number of tiles in `touched`.
     """
-    cells, blocks, stale = store[0], store[1], store[2]
+    cells, ends, blocks, stale = store[0], store[1], store[2], store[3]
+    most = int(memory * CELL_M * METRES)
     count = 0
     for i in range(rays_map.shape[0]):
-        u0, v0 = rays_map[i, 0] / CELL_M, rays_map[i, 1] / CELL_M
-        u1, v1 = rays_map[i, 2] / CELL_M, rays_map[i, 3] / CELL_M
+        u0, v0 = rays_map[i, 0] * _CELLS_PER_M, rays_map[i, 1] * _CELLS_PER_M
+        u1, v1 = rays_map[i, 2] * _CELLS_PER_M, rays_map[i, 3] * _CELLS_PER_M
         length = np.hypot(u1 - u0, v1 - v0) * CELL_M
-        x, step_x, next_x, way_x = _axis(u0, u1)
-        y, step_y, next_y, way_y = _axis(v0, v1)
-        col, row = int(x), int(y)
+        step, next_x, way_x = _axis(u0, u1)
+        step_x = int(step)
+        step, next_y, way_y = _axis(v0, v1)
+        step_y = int(step)
+        col, row = int(np.floor(u0)), int(np.floor(v0))
+        tile_row, tile_col, tile = _NOWHERE, _NOWHERE, NONE
         at = 0.0
-        tile_row, tile_col, tile = -(1 << 30), -(1 << 30), NONE
         while True:
             last = next_x >= 1.0 and next_y >= 1.0
             until = 1.0 if last else min(next_x, next_y)
-            if row // TILE != tile_row or col // TILE != tile_col:
-                tile_row, tile_col = row // TILE, col // TILE
+            if row >> _TILE_BITS != tile_row or col >> _TILE_BITS != tile_col:
+                tile_row, tile_col = row >> _TILE_BITS, col >> _TILE_BITS
                 tile = own_tile(store, table, particle, tile_row - first_row, tile_col - first_col)
-                if stale[tile, 0, 0] < 2:
-                    stale[tile, 0, 0] |= 2
+                if stale[tile, 0] < 2:
+                    stale[tile, 0] |= 2
                     touched[count] = tile
                     count += 1
-            r, c = row - tile_row * TILE, col - tile_col * TILE
-            cell = cells[tile, r, c]
-            cell[1] += np.float32((until - at) * length)
+            r, c = row & (TILE - 1), col & (TILE - 1)
+            k = (r * TILE + c) * 2
+            stops = int(cells[tile, k])
+            metres = int(cells[tile, k + 1]) + int((until - at) * length * METRES + 0.5)
             if last:
-                cell[0] += np.float32(1.0)
-                cell[2] += np.float32((u1 - col) * CELL_M)
-                cell[3] += np.float32((v1 - row) * CELL_M)
-            if cell[0] > 0.0:
-                stale[tile, r // BLOCK, c // BLOCK] |= 1
-                seen = cell[0] + cell[1] / CELL_M
+                stops += int(STOPS)
+                share = STOPS / stops
+                x = min(max((u1 - col) * PLACES, 0.0), PLACES - 1.0)
+                y = min(max((v1 - row) * PLACES, 0.0), PLACES - 1.0)
+                ends[tile, k] = int(ends[tile, k] + (x - ends[tile, k]) * share + 0.5)
+                ends[tile, k + 1] = int(ends[tile, k + 1] + (y - ends[tile, k + 1]) * share + 0.5)
+            if stops > 0:
+                stale[tile, (r >> _BLOCK_BITS) * BLOCKS + (c >> _BLOCK_BITS)] |= 1
+                seen = stops / STOPS + metres * (_CELLS_PER_M / METRES)
                 if seen > memory:
-                    keep = np.float32(memory / seen)
-                    for k in range(4):
-                        cell[k] *= keep
-            elif cell[1] > memory * CELL_M:
-                cell[1] = np.float32(memory * CELL_M)
+                    # Rounded down, so that what nobody sees any more does vanish.
+                    stops, metres = int(stops * (memory / seen)), int(metres * (memory / seen))
+                cells[tile, k] = stops
+            cells[tile, k + 1] = min(metres, most)
             if last:
                 break
             at = until
             if next_x <= next_y:
-                col += int(step_x)
+                col += step_x
                 next_x += way_x
             else:
-                row += int(step_y)
+                row += step_y
                 next_y += way_y
     for k in range(count):
-        _renew_blocks(cells, blocks, stale, touched[k])
+        _renew_blocks(cells, ends, blocks, stale, touched[k])
     return count
 
 
@@ -196,44 +225,52 @@ def score_rays(
             continue
         dx, dy = dx / reading, dy / reading
         start = 0.0 if whole else max(0.0, reading - NEAR_M)
-        end = reading + NEAR_M
-        u0, v0 = (rays_map[i, 0] + start * dx) / CELL_M, (rays_map[i, 1] + start * dy) / CELL_M
-        u1, v1 = (rays_map[i, 0] + end * dx) / CELL_M, (rays_map[i, 1] + end * dy) / CELL_M
-        length = end - start
-        x, step_x, next_x, way_x = _axis(u0, u1)
-        y, step_y, next_y, way_y = _axis(v0, v1)
-        col, row = int(x), int(y)
-        at = 0.0
-        depth = 0.0
-        likelihood = 0.0
-        tile_row, tile_col, tile = -(1 << 30), -(1 << 30), NONE
+        length = reading + NEAR_M - start
+        u0 = (rays_map[i, 0] + start * dx) * _CELLS_PER_M
+        v0 = (rays_map[i, 1] + start * dy) * _CELLS_PER_M
+        u1 = (rays_map[i, 0] + (start + length) * dx) * _CELLS_PER_M
+        v1 = (rays_map[i, 1] + (start + length) * dy) * _CELLS_PER_M
+        step, next_x, way_x = _axis(u0, u1)
+        step_x = int(step)
+        step, next_y, way_y = _axis(v0, v1)
+        step_y = int(step)
+        col, row = int(np.floor(u0)), int(np.floor(v0))
+        tile_row, tile_col, tile = _NOWHERE, _NOWHERE, NONE
+        at = depth = likelihood = 0.0
+        through = -1.0
         while True:
             last = next_x >= 1.0 and next_y >= 1.0
             until = 1.0 if last else min(next_x, next_y)
-            if row // TILE != tile_row or col // TILE != tile_col:
-                tile_row, tile_col = row // TILE, col // TILE
+            if row >> _TILE_BITS != tile_row or col >> _TILE_BITS != tile_col:
+                tile_row, tile_col = row >> _TILE_BITS, col >> _TILE_BITS
                 tile = NONE
                 if 0 <= tile_row - first_row < rows and 0 <= tile_col - first_col < cols:
                     tile = table[particle, tile_row - first_row, tile_col - first_col]
             density = PRIOR_DENSITY
             if tile != NONE:
-                cell = cells[tile, row - tile_row * TILE, col - tile_col * TILE]
-                density = (cell[0] + PRIOR_DENSITY * PRIOR_M) / (cell[1] + PRIOR_M)
-            thick = density * (until - at) * length
-            error = start + 0.5 * (at + until) * length - reading
-            if abs(error) < NEAR_M:
-                stops = np.exp(-depth) - np.exp(-depth - thick)
-                likelihood += stops * np.exp(-0.5 * (error / SIGMA_M) ** 2)
-            depth += thick
-            # Nothing comes through any more: what follows cannot add to the sum.
-            if last or depth > 30.0:
+                k = ((row & (TILE - 1)) * TILE + (col & (TILE - 1))) * 2
+                density = (cells[tile, k] * _STOPS_PER_METRES + _PRIOR_STOPS) / (cells[tile, k + 1] + _PRIOR_METRES)
+            thick = density * ((until - at) * length)
+            off = (start + 0.5 * (at + until) * length - reading) * (1.0 / NEAR_M)
+            near = 1.0 - off * off
+            if near > 0.0:
+                if through < 0.0:
+                    through = np.exp(-depth)
+                passed = through * np.exp(-thick)
+                near *= near
+                near *= near
+                likelihood += (through - passed) * (near * near)
+                through = passed
+            else:
+                depth += thick
+            if last or depth > OPAQUE or (through >= 0.0 and near <= 0.0):
                 break
             at = until
             if next_x <= next_y:
-                col += int(step_x)
+                col += step_x
                 next_x += way_x
             else:
-                row += int(step_y)
+                row += step_y
                 next_y += way_y
         total += np.log(FLOOR + likelihood)
     return total

@@ -12,7 +12,7 @@ import numpy as np
 from processing import se2
 from processing.dpslam import alignment, laser_model, population
 from processing.dpslam.config import DpSlamConfig
-from processing.dpslam.grid import BLOCK, BLOCK_M, CELL_M
+from processing.dpslam.grid import BLOCK, BLOCK_M, CELL_M, METRES, PLACES, STOPS
 from processing.dpslam.proposal import carry, noise_root, priors
 from processing.dpslam.sweep import Sweeper
 
@@ -63,10 +63,10 @@ def placed(pose, rays):
 
 
 class NaiveMap:
-    """One particle's whole map: stops, metres, and end point offsets of every cell."""
+    """One particle's whole map: stops, metres, and mean end points of every cell, as the store counts them."""
 
     def __init__(self):
-        self.cells = np.zeros((2 * HALF, 2 * HALF, 4), dtype=np.float32)
+        self.cells = np.zeros((2 * HALF, 2 * HALF, 4), dtype=np.uint16)
 
     def copy(self):
         other = NaiveMap()
@@ -74,21 +74,24 @@ class NaiveMap:
         return other
 
     def write(self, rays_map, memory):
+        per_m = 20.0
         for x0, y0, x1, y1 in rays_map:
-            u0, v0, u1, v1 = x0 / CELL_M, y0 / CELL_M, x1 / CELL_M, y1 / CELL_M
+            u0, v0, u1, v1 = x0 * per_m, y0 * per_m, x1 * per_m, y1 * per_m
             length = float(np.hypot(u1 - u0, v1 - v0)) * CELL_M
             for col, row, at, until, last in cells_of(u0, v0, u1, v1):
                 cell = self.cells[row + HALF, col + HALF]
-                cell[1] += np.float32((until - at) * length)
+                stops, metres, x, y = (int(v) for v in cell)
+                metres += int((until - at) * length * METRES + 0.5)
                 if last:
-                    cell[0] += np.float32(1.0)
-                    cell[2] += np.float32((u1 - col) * CELL_M)
-                    cell[3] += np.float32((v1 - row) * CELL_M)
-                seen = float(cell[0]) + float(cell[1]) / CELL_M
-                if cell[0] > 0.0 and seen > memory:
-                    cell *= np.float32(memory / seen)
-                elif cell[0] == 0.0 and float(cell[1]) > memory * CELL_M:
-                    cell[1] = np.float32(memory * CELL_M)
+                    stops += int(STOPS)
+                    new_x = min(max((u1 - col) * PLACES, 0.0), PLACES - 1.0)
+                    new_y = min(max((v1 - row) * PLACES, 0.0), PLACES - 1.0)
+                    cell[2] = int(x + (new_x - x) * (STOPS / stops) + 0.5)
+                    cell[3] = int(y + (new_y - y) * (STOPS / stops) + 0.5)
+                seen = stops / STOPS + metres * (per_m / METRES)
+                if stops > 0 and seen > memory:
+                    stops, metres = int(stops * (memory / seen)), int(metres * (memory / seen))
+                cell[0], cell[1] = stops, min(metres, int(memory * CELL_M * METRES))
 
     def log_likelihood(self, rays_map, every, whole):
         m = laser_model
@@ -97,20 +100,32 @@ class NaiveMap:
             reading = float(np.hypot(x1 - x0, y1 - y0))
             dx, dy = (x1 - x0) / reading, (y1 - y0) / reading
             start = 0.0 if whole else max(0.0, reading - m.NEAR_M)
-            end = reading + m.NEAR_M
-            ends = (x0 + start * dx, y0 + start * dy, x0 + end * dx, y0 + end * dy)
+            length = reading + m.NEAR_M - start
+            ends = (x0 + start * dx, y0 + start * dy, x0 + (start + length) * dx, y0 + (start + length) * dy)
             depth = likelihood = 0.0
-            for col, row, at, until, _last in cells_of(*(v / CELL_M for v in ends)):
-                stops, metres = (float(v) for v in self.cells[row + HALF, col + HALF, :2])
-                density = (stops + m.PRIOR_DENSITY * m.PRIOR_M) / (metres + m.PRIOR_M)
-                thick = density * (until - at) * (end - start)
-                error = start + 0.5 * (at + until) * (end - start) - reading
-                if abs(error) < m.NEAR_M:
-                    here = math.exp(-depth) - math.exp(-depth - thick)
-                    likelihood += here * math.exp(-0.5 * (error / m.SIGMA_M) ** 2)
-                depth += thick
-                if depth > 30.0:
+            through = None
+            for col, row, at, until, _last in cells_of(*(v * 20.0 for v in ends)):
+                stops, metres = (int(v) for v in self.cells[row + HALF, col + HALF, :2])
+                units = METRES / STOPS
+                density = (stops * units + m.PRIOR_STOPS * METRES) / (metres + m.PRIOR_M * METRES)
+                if stops == metres == 0:
+                    density = m.PRIOR_DENSITY
+                thick = density * ((until - at) * length)
+                off = (start + 0.5 * (at + until) * length - reading) * (1.0 / m.NEAR_M)
+                near = 1.0 - off * off
+                if near > 0.0:
+                    through = math.exp(-depth) if through is None else through
+                    passed = through * math.exp(-thick)
+                    near *= near
+                    near *= near
+                    likelihood += (through - passed) * (near * near)
+                    through = passed
+                elif through is not None:
                     break
+                else:
+                    depth += thick
+                    if depth > m.OPAQUE:
+                        break
             total += math.log(m.FLOOR + likelihood)
         return total
 
@@ -119,16 +134,13 @@ class NaiveMap:
         moments = [0.0] * 6
         for r in range(BLOCK):
             for c in range(BLOCK):
-                stops, metres, ox, oy = self.cells[row * BLOCK + r + HALF, col * BLOCK + c + HALF]
-                if stops <= 0.0:
+                cell = self.cells[row * BLOCK + r + HALF, col * BLOCK + c + HALF]
+                stops, metres = int(cell[0]) / STOPS, int(cell[1]) / METRES
+                density = (stops + laser_model.PRIOR_STOPS) / (metres + laser_model.PRIOR_M)
+                if stops <= 0.0 or 1.0 - math.exp(-density * CELL_M) < laser_model.OCCUPIED:
                     continue
-                density = (float(stops) + laser_model.PRIOR_DENSITY * laser_model.PRIOR_M) / (
-                    float(metres) + laser_model.PRIOR_M
-                )
-                if 1.0 - math.exp(-density * CELL_M) < laser_model.OCCUPIED:
-                    continue
-                w = min(float(stops), 10.0)
-                x, y = float(ox / stops) + c * CELL_M, float(oy / stops) + r * CELL_M
+                w = min(stops, laser_model.MOST_WEIGHT)
+                x, y = (c + int(cell[2]) / PLACES) * CELL_M, (r + int(cell[3]) / PLACES) * CELL_M
                 for k, value in enumerate((w, w * x, w * y, w * x * x, w * x * y, w * y * y)):
                     moments[k] += value
         return [float(np.float32(v)) for v in moments]
