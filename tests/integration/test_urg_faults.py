@@ -153,6 +153,8 @@ def test_hook_9_hardware_trouble_is_told_word_for_word_and_the_sensor_reset():
     assert session.said("cut its power")
     assert session.device.counts["faults"] == 1
     assert len(session.connections) == 2
+    # A good scan, and nothing less, makes the next trouble the first one again.
+    assert session.device._faults == session.device._failures == 0
 
 
 def test_hook_9_trouble_that_does_not_end_is_tried_again_every_thirty_seconds():

@@ -141,6 +141,14 @@ def test_no_flip_of_any_bit_of_a_scan_passes():
         assert all(reply.stamp_ms == 777 for reply in scans), f"bit {at % 8} of byte {at}"
 
 
+@pytest.mark.parametrize("remaining", [b"xx", b"0 ", b"\xff0", b"-1", b"\xb2\xb3"])
+def test_a_count_of_remaining_scans_that_is_no_number_is_damage_and_raises_nothing(remaining):
+    good = scan()
+    scans, decoder = accepted(good[:13] + remaining + good[15:])
+    assert [reply.stamp_ms for reply in scans] == [777]
+    assert decoder.damaged == {"echo": 1}
+
+
 def test_every_single_substitution_at_some_bytes_is_seen():
     good = scan()
     for at in (0, 5, 15, 16, 17, 18, 19, 20, 22, 24, 25, 26, 60, 90, 91, 700, 2130, 2134):
