@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from runtime.run import Run
 
 _TURN_S = 0.05
+_NOTIFY_S = 0.5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -34,6 +35,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         const="",
         metavar="ADDRESS:PORT",
         help="let guests with keys in, at this address (default all addresses, port 7448)",
+    )
+    parser.add_argument(
+        "--service",
+        nargs="?",
+        const="/etc/systemd/system",
+        metavar="DIR",
+        help="do not start: write a systemd unit that does at boot",
     )
     parser.add_argument("--json", action="store_true", help="machine-readable, one object at the end")
 
@@ -68,6 +76,8 @@ def run(args: argparse.Namespace) -> int:
     if headless:
         graph = graph.without_screen()
     resolved = _check(file, headless)
+    if args.service is not None:
+        return _install(file, graph.robot, args)
     out = args.out or Path("results") / time.strftime("%Y%m%d-%H%M%S")
     check_free(out)
     with rundir.claimed(graph.robot) as run_dir, Screen(quiet=args.json) as screen:
@@ -94,6 +104,17 @@ def run(args: argparse.Namespace) -> int:
         report = _save(live, config, out, args, code)
     _say(report, args.json)
     return code
+
+
+def _install(file: Path, robot: str, args: argparse.Namespace) -> int:
+    from runtime import service
+
+    extra = [] if args.remote is None else ["--remote", *([args.remote] if args.remote else [])]
+    folder = (args.out or Path("results")).absolute()
+    text = service.unit(file.absolute(), robot, folder.parent, service.owner(), extra)
+    path = service.install(text, robot, Path(args.service))
+    print(f"{path}: written; now: systemctl daemon-reload && systemctl enable --now {path.name}")
+    return 0
 
 
 def _has_screen() -> bool:
@@ -132,6 +153,8 @@ def _empty(out: Path) -> None:
 
 def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
     """Turn until everything has ended; return whether a person ended it."""
+    from runtime.realtime import notify_init
+
     asked: list[int] = []
 
     def on_signal(number: int, frame: FrameType | None) -> None:
@@ -141,15 +164,21 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
 
     before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     running_since: float | None = None
+    notified = 0.0
     try:
         while not live.supervisor.over:
             live.step()
             now = time.monotonic()
+            if now - notified > _NOTIFY_S:
+                notified = now
+                notify_init("WATCHDOG=1")
             if running_since is None and live.supervisor.all_ready:
                 running_since = now
+                notify_init("READY=1")
                 screen.say(f"all processes run after {live.elapsed_s:.1f} s")
             over = duration_s is not None and running_since is not None and now - running_since > duration_s
-            if asked or over or live.supervisor.idle:
+            if (asked or over or live.supervisor.idle) and not live.supervisor.stopping:
+                notify_init("STOPPING=1")
                 live.supervisor.stop()
             screen.show(live.status(), live.elapsed_s)
             time.sleep(_TURN_S)
