@@ -250,7 +250,7 @@ class McapReader:
     def _records(self, state: ReadState) -> Iterator[Any]:
         with self.path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
-                raise FormatError(self.path, "not an MCAP file: it does not begin as one")
+                raise FormatError(self.path, "not an MCAP file; `hallway convert` makes one of a log")
             reader = StreamReader(
                 file, skip_magic=True, emit_chunks=True, record_size_limit=_MAX_RECORD_BYTES
             ).records
