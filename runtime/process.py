@@ -48,15 +48,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         return code
 
 
+class LogFormat(logging.Formatter):
+    """Log lines with wall time (UTC), level and node."""
+
+    converter = staticmethod(time.gmtime)
+
+    def __init__(self) -> None:
+        line = "%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s"
+        super().__init__(line, datefmt="%Y-%m-%dT%H:%M:%S")
+
+
 def log_to_stderr() -> None:
-    """Write log lines with wall time, level and node to stderr, which the supervisor keeps in a file."""
-    logging.basicConfig(
-        stream=sys.stderr,
-        level=logging.INFO,
-        format="%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s",
-        datefmt="%Y-%m-%dT%H:%M:%S",
-    )
-    logging.Formatter.converter = time.gmtime
+    """Write log lines to stderr, which the supervisor keeps in a file."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(LogFormat())
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
 
 
 def _run(args: argparse.Namespace, log: logging.Logger) -> int:

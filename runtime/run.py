@@ -4,6 +4,7 @@
 """
 
 import json
+import logging
 import shutil
 import time
 from collections.abc import Callable, Mapping
@@ -16,10 +17,26 @@ from runtime.clock import Clock
 from runtime.graph import Graph
 from runtime.health import Health, Vital
 from runtime.node import BusPort
+from runtime.process import LogFormat
 from runtime.status import SUPERVISOR, Status, status_of
 from runtime.supervisor import HUB, SILENT_S, Event, Supervisor, commands
 
 _REPORT_S = 1.0
+
+
+def log_to(file: Path) -> logging.Handler:
+    """Write this process's log lines into a file; close what is returned when the run is over."""
+
+    class Handler(logging.FileHandler):
+        def close(self) -> None:
+            logging.getLogger().removeHandler(self)
+            super().close()
+
+    handler = Handler(file, encoding="utf-8")
+    handler.setFormatter(LogFormat())
+    logging.getLogger().addHandler(handler)
+    logging.getLogger().setLevel(logging.INFO)
+    return handler
 
 
 class Run:
@@ -55,11 +72,14 @@ class Run:
         self._health: Health | None = None
         self._port: BusPort | None = None
         self._reported = 0.0
-        (run_dir / "logs").symlink_to((results_dir / "logs").absolute())
+        logs = results_dir / "logs"
+        logs.mkdir(parents=True, exist_ok=True)
+        self._log = log_to(logs / f"{SUPERVISOR}.log")
+        (run_dir / "logs").symlink_to(logs.absolute())
         self.supervisor = Supervisor(
             graph,
             commands(graph, file.absolute(), run_dir, results_dir.absolute(), remote=remote),
-            results_dir / "logs",
+            logs,
             self.clock,
             self._note,
             self._forget,
@@ -91,6 +111,7 @@ class Run:
     def close(self) -> None:
         """End whatever still runs and leave the bus."""
         self.supervisor.close()
+        self._log.close()
         if self._port is not None:
             self._port.close()
             self._port = None
@@ -144,6 +165,7 @@ class Run:
     def _note(self, event: Event) -> None:
         if len(self.events) < 10_000:
             self.events.append(event)
+        logging.getLogger(event.node).info("%s", event.text)
         self._tell(event)
 
     def _forget(self, name: str) -> None:

@@ -160,6 +160,7 @@ def test_a_graph_runs_for_its_time_and_leaves_its_results(desk):
         "monitor.log",
         "sink.log",
         "source.log",
+        "supervisor.log",
     ]
     assert f"used {metrics['latency']['mapped']} of {metrics['latency']['scans']} scans" in out
     assert not (desk.folder / "run" / "trial").exists()
