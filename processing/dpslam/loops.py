@@ -11,6 +11,7 @@ a key scan lay on the settled map, which may be wrong and are doubted when they 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,6 +141,49 @@ class Loops:
     def smoothed(self) -> Pose:
         """Return the path (K, 3) that satisfies all relations best."""
         return smooth(self.path, self._relations()).poses if len(self.path) > 1 else self.path.copy()
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return everything as arrays; `restore` takes it back."""
+        near, key, seen, known, doubt = zip(*self.places, strict=True) if self.places else ((),) * 5
+        pending = (np.nan,) * 4 if self._pending is None else (self._pending[0], *self._pending[1])
+        return {
+            "path": self.path.copy(),
+            "points": np.vstack((np.zeros((0, 2)), *self.points)),
+            "counts": np.array([len(points) for points in self.points], dtype=np.int64),
+            "motions": np.array(self.motions).reshape(-1, 3),
+            "covariances": np.array(self.covariances).reshape(-1, 3, 3),
+            "way_m": np.array(self.way_m),
+            "place_ends": np.array((near, key), dtype=np.int64).T.reshape(-1, 2),
+            "place_poses": np.array(seen).reshape(-1, 3),
+            "place_informations": np.array(known).reshape(-1, 3, 3),
+            "place_doubts": np.array(doubt, dtype=np.float64),
+            "drift": self._drift.copy(),
+            "flags": np.array((self.linked, self.closures, self._settled, self._misses)),
+            "tried_m": np.array(self._tried_m),
+            "pending": np.array(pending),
+            **{f"map.{name}": part for name, part in self._map.state().items()},
+        }
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Become the loops whose `state` was taken."""
+        self.path = state["path"].copy()
+        ends = np.cumsum(state["counts"])[:-1]
+        self.points = [part.copy() for part in np.split(state["points"], ends)] if len(self.path) else []
+        self.motions, self.covariances = list(state["motions"].copy()), list(state["covariances"].copy())
+        self.way_m = state["way_m"].tolist()
+        ends_of, poses = state["place_ends"].tolist(), state["place_poses"].copy()
+        known, doubts = state["place_informations"].copy(), state["place_doubts"].tolist()
+        self.places = [
+            (near, key, pose, information, doubt)
+            for (near, key), pose, information, doubt in zip(ends_of, poses, known, doubts, strict=True)
+        ]
+        self._drift = state["drift"].copy()
+        linked, self.closures, self._settled, self._misses = state["flags"].tolist()
+        self.linked = bool(linked)
+        self._tried_m = float(state["tried_m"])
+        at_m, *shift = state["pending"].tolist()
+        self._pending = None if np.isnan(at_m) else (at_m, np.array(shift))
+        self._map.restore({name[4:]: part for name, part in state.items() if name.startswith("map.")})
 
     def _with_drift(self, covariance: Matrix, motion: Pose, step_m: float) -> Matrix:
         c = self.config

@@ -4,7 +4,7 @@ Being found on it means having come back. It only grows; when the path below it 
 """
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,23 @@ class SettledMap:
         pose, curvature, report = np.array(map_t_guess), np.zeros((2, 3, 3)), np.zeros(3)
         polish(points, self._origin, self._slots, self._normals, prior, _BLURS, pose, curvature, report)
         return Fit(pose, curvature[1])
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return everything as arrays; `restore` takes it back, bit for bit."""
+        return {
+            "origin": self._origin.copy(),
+            "slots": self._slots.copy(),
+            "sums": self._sums.copy(),
+            "places": self._places.copy(),
+            "normals": self._normals.copy(),
+            "counts": self._counts.copy(),
+        }
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Become the map whose `state` was taken."""
+        self._origin, self._slots = state["origin"].copy(), state["slots"].copy()
+        self._sums, self._places = state["sums"].copy(), state["places"].copy()
+        self._normals, self._counts = state["normals"].copy(), state["counts"].copy()
 
     def _make_room(self, points: Points) -> None:
         """Let the window cover the points with a border, and the tables hold what they may add."""

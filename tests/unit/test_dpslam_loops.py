@@ -98,6 +98,20 @@ def test_the_same_steps_give_the_same_bits(round_the_block):
     np.testing.assert_array_equal(first, second)
 
 
+@pytest.mark.parametrize("cut", [1, 40, 250, 330])
+def test_restored_goes_on_as_if_never_interrupted(round_the_block, cut):
+    motions = drifting(round_the_block, 0.002, 0.004)
+    whole, _ = follow(round_the_block, motions)
+    part, _ = follow(round_the_block[:cut], motions[:cut])
+    again = Loops(LoopConfig())
+    again.restore(part.state())
+    for k in range(cut, len(round_the_block)):
+        path = np.vstack((again.path, compose(again.path[-1], motions[k])))
+        again.step(motions[k], np.zeros((3, 3)), round_the_block[k][0], path)
+    np.testing.assert_array_equal(again.path, whole.path)
+    assert again.closures == whole.closures
+
+
 def test_a_plain_corridor_is_nobodys_place():
     # There and back in a corridor that looks alike everywhere, with a matcher that cannot see along it.
     building = corridor(80.0, 2.0)
