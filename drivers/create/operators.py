@@ -1,7 +1,7 @@
 """Who steers: one operator at a time, and how old an input really is.
 
 An operator is a name.  One holds the robot until it has been silent for two seconds; what others send is
-counted and told, except an emergency stop, which anybody may send.
+counted and told.
 
 The age of an input is counted from the operator's own stamp, not from the arrival of a message that repeats
 it.  Clocks of two machines differ, so the stamps of each operator are compared with the quickest message it
@@ -109,13 +109,13 @@ class Operators:
             self.repeated_inputs += 1
             return None
         made_ns = min(given.stamp_ns + known.offset_ns(), given.received_ns)
-        if self.holder is None and given.intent is not Intent.STOP:
+        if self.holder is None:
             self.holder = given.operator
-        if given.operator != self.holder and given.intent is not Intent.STOP:
+        if given.operator != self.holder:
             self.refused = given.operator
             self.refused_inputs += 1
             return None
-        if given.received_ns - made_ns > max_age_ns and given.intent is not Intent.STOP:
+        if given.received_ns - made_ns > max_age_ns:
             self.late_inputs += 1
             return None
         return made_ns

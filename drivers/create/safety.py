@@ -73,10 +73,10 @@ class Safety:
 
     def hear(self, given: Input) -> None:
         """Take one input of any operator, in the order of arrival."""
-        made_ns = self.operators.admit(given, _ns(self._config.input_timeout_s))
-        if given.intent is Intent.STOP:
+        if given.intent is Intent.STOP:  # by anybody, however old
             self._disarm(f"emergency stop by {given.operator}", State.STOPPED)
             return
+        made_ns = self.operators.admit(given, _ns(self._config.input_timeout_s))
         if made_ns is None:
             return
         self._input, self._made_ns = given, made_ns
@@ -216,10 +216,8 @@ class Safety:
     # ---- from state to state ----
 
     def _arm(self, now_ns: int) -> Decision:
-        # A frame from before the request says nothing about its effect.
-        if self.mode() == Mode.SAFE and self._telemetry_ns > self._arming_ns:
+        if self.mode() == Mode.SAFE:  # it was Passive when arming began
             self.state, self.reason = State.ARMED, "armed"
-            self._throttle.forget()
             self._throttle.release()
             return Decision()
         if now_ns - self._arming_ns > _ns(self._config.arming_timeout_s):

@@ -117,7 +117,7 @@ class Rig:
         end = time.monotonic() + 15.0
         while not self.heard(state="armed"):
             assert time.monotonic() < end, self.values
-            if time.monotonic() - asked > 0.5:
+            if time.monotonic() - asked > 0.15:
                 asked = time.monotonic()
                 self.operator.say(Intent.ARM)
             time.sleep(0.01)

@@ -2,15 +2,15 @@
 
 import pytest
 
-from drivers.create.operators import Input, Intent, Operators
+from drivers.create.operators import Input, Operators
 
 MS = 1_000_000
 LIMIT = 250 * MS
 
 
-def said(operators, name, stamp_ms, arrived_ms, intent=Intent.DRIVE, speed=0.1):
+def said(operators, name, stamp_ms, arrived_ms, speed=0.1):
     """Let an operator say something; return its age in ms, or None if it did not count."""
-    given = Input(name, round(stamp_ms * MS), round(arrived_ms * MS), speed, 0.0, intent)
+    given = Input(name, round(stamp_ms * MS), round(arrived_ms * MS), speed, 0.0)
     made_ns = operators.admit(given, LIMIT)
     return None if made_ns is None else (given.received_ns - made_ns) / MS
 
@@ -30,19 +30,6 @@ def test_who_is_silent_for_two_seconds_has_it_no_longer():
     assert said(operators, "ben", 2001, 2001) == 0
     assert operators.holder == "ben"
     assert operators.refused is None
-
-
-def test_anybody_may_stop_the_robot():
-    operators = Operators()
-    said(operators, "anna", 0, 0)
-    assert said(operators, "ben", 1, 1, Intent.STOP) is not None
-    assert operators.holder == "anna"
-
-
-def test_a_stop_gives_nobody_the_robot():
-    operators = Operators()
-    said(operators, "ben", 1, 1, Intent.STOP)
-    assert operators.holder is None
 
 
 def test_a_repeated_or_older_input_does_not_count():

@@ -84,15 +84,57 @@ def test_a_robot_that_ignores_the_request_is_not_armed():
     assert stands(course)
 
 
-def test_an_old_frame_does_not_prove_that_arming_worked():
-    course = Course(obedient=False)
-    course.set(mode=2)
+@pytest.mark.parametrize("mode", [2, 3, 4])
+def test_a_robot_that_seems_to_obey_before_it_was_asked_is_not_armed(mode):
+    course = Course()
     course.run(200)
-    course.talking = False
+    course.set(mode=mode)
+    course.now_ms += 1
+    course.safety.sense(course.telemetry, course.now_ms * MS)
+    course.say(Intent.ARM)
+    assert course.state is State.DISARMED
+    assert f"mode {mode} is reported where Passive (1) is due" in course.safety.reason
+
+
+def test_a_robot_that_moves_faster_than_it_was_told_is_stopped():
+    course = Course().arm()
+    course.drive(0.2)
+    course.set(right_mmps=215, left_mmps=-215)
+    assert course.run(100)[-1] == (200, 200)
+    course.set(right_mmps=200, left_mmps=401)
+    assert course.run(20) == [ZERO]
+    assert course.safety.reason == "the robot misheard a command"
+
+
+def test_a_speed_of_a_moment_ago_may_still_be_read_back():
+    course = Course().arm()
+    course.drive(0.3)
+    course.set(right_mmps=300, left_mmps=300)
+    assert course.drive(0.1, ms=400)[-1] == (100, 100)
+    course.drive(0.1, ms=200)
+    assert course.state is State.DISARMED
+
+
+def test_the_speed_of_before_does_not_come_back_with_arming():
+    course = Course().arm()
+    course.drive(0.3)
+    course.set(cliffs=1)
+    course.run(20)
+    course.set(cliffs=0)
+    course.arm()
+    assert max(course.drive(0.3, ms=20)[0]) <= 11
+
+
+def test_after_a_disarming_the_stick_has_to_be_at_zero_for_a_while():
+    course = Course().arm()
+    course.run(500)  # it stands, the stick at zero all the time
+    course.set(cliffs=1)
+    course.run(20)
+    course.set(cliffs=0)
+    course.step()
     course.now_ms += 1
     course.say(Intent.ARM)
-    course.run(100)
-    assert course.state is State.ARMING
+    assert course.safety.reason == "arming refused: the stick was not at zero"
 
 
 @pytest.mark.parametrize("mode", [0, 1, 3, 4])
