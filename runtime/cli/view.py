@@ -113,12 +113,11 @@ def _session(robot: str, address: str | None) -> dict[str, Any]:
 
 
 def _show_recording(args: argparse.Namespace, config: "Config", folder: Path, asked: list[int]) -> int:
-    from runtime.nodes.viewer_recording import draw
-    from runtime.replay import Recorded, ReplayConfig
+    from runtime.nodes.viewer_recording import draw, robot_of
 
-    recorded = Recorded([args.file], ReplayConfig(rate=0.0))
-    with _target(config, folder) as (screen, server):
-        robot, drawn = draw(recorded, screen, lambda: bool(asked))
+    robot = robot_of(args.file)
+    with _target(config, folder, robot) as (screen, server):
+        drawn = draw(args.file, screen, lambda: bool(asked))
         print(f"{args.file}: {drawn} messages of {robot!r}", file=sys.stderr)
         if server is None:
             screen.close(60.0)
@@ -143,14 +142,14 @@ def _show_rrd(file: Path, config: "Config", folder: Path, asked: list[int]) -> i
 
 
 @contextmanager
-def _target(config: "Config", folder: Path) -> Iterator[tuple[Any, Any]]:
+def _target(config: "Config", folder: Path, robot: str) -> Iterator[tuple[Any, Any]]:
     from runtime.nodes.viewer_screen import Screen
 
     if config.mode == "save":
-        yield Screen("recording", file=Path(config.file)), None
+        yield Screen(robot, file=Path(config.file)), None
         return
     with _server(config, folder) as server:
-        yield Screen("recording", url=server.url), server
+        yield Screen(robot, url=server.url), server
 
 
 @contextmanager

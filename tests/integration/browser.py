@@ -23,7 +23,6 @@ _FLAGS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--hide-scrollbars",
-    "--window-size=1100,700",
     "--remote-debugging-pipe",
 )
 
@@ -31,12 +30,20 @@ _FLAGS = (
 class Browser:
     """One page in a browser of its own."""
 
-    def __init__(self, page, profile):
+    def __init__(self, page, profile, size="1100,700"):
         hears, self._to = os.pipe()
         self._from, speaks = os.pipe()
         # The browser takes commands on descriptor 3 and answers on 4.
         shell = f'exec "$0" "$@" 3<&{hears} 4>&{speaks}'
-        command = ["bash", "-c", shell, PROGRAM, *_FLAGS, f"--user-data-dir={profile}"]
+        command = [
+            "bash",
+            "-c",
+            shell,
+            PROGRAM,
+            *_FLAGS,
+            f"--user-data-dir={profile}",
+            f"--window-size={size}",
+        ]
         self._process = subprocess.Popen(
             command,
             pass_fds=(hears, speaks),

@@ -92,3 +92,21 @@ def test_a_file_that_exists_is_not_overwritten(recording, tmp_path, capsys):
     assert main(["view", str(recording), "--save", str(file)]) == 2
     assert "exists already" in capsys.readouterr().err
     assert file.read_text() == "mine"
+
+
+def test_the_states_of_a_recording_are_shown_too(recording, tmp_path):
+    file = tmp_path / "drive.rrd"
+    assert main(["view", str(recording), "--save", str(file)]) == 0
+    stats = entities(file)
+    assert "/state/tracking: " in stats
+    assert "/state/words: " in stats
+
+
+def test_a_recording_of_something_else_is_named_before_anything_is_written(tmp_path, capsys):
+    writer = Recording(tmp_path / "other.mcap", "robot", RecordingConfig(min_free_mb=0), story.BEGIN_NS)
+    channel = McapChannel("/robot/truth", "geometry_msgs/msg/PoseStamped", {})
+    writer.add(channel, 1, story.BEGIN_NS, story.BEGIN_NS, b"\0\1\0\0")
+    writer.close(story.stamp(1))
+    assert main(["view", str(tmp_path / "other.mcap"), "--save", str(tmp_path / "x.rrd")]) == 2
+    assert "nothing to show" in capsys.readouterr().err
+    assert not (tmp_path / "x.rrd").exists()
