@@ -16,10 +16,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from runtime.graph import NodeSpec
+from runtime.spare import Spare, is_stopped
 
 _BACKOFF_S = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
 _STEADY_S = 15.0  # after so long without failure, an old failure is forgotten
 _LOOP_FAILURES = 6  # so many failures without a steady time in between: a crash loop
+_SPARE_AFTER_S = 3.0
 _LOG_BYTES = 2_000_000
 _LOG_FILES = 3
 _PREFIX = re.compile(r"^\S+ [A-Z]+ +[\w.]+: ")
@@ -62,6 +64,7 @@ class Child:
         self._due = 0.0
         self._blamed = ""
         self._pressed = False
+        self._spare = Spare(lambda: self._spawned([*self._command, "--spare"], subprocess.PIPE))
 
     @property
     def pid(self) -> int | None:
@@ -78,18 +81,21 @@ class Child:
         self.state, self.since = state, time.monotonic()
 
     def start(self) -> None:
-        """Start the process in its own group, with its output in its log."""
+        """Start the process, or let the spare one take over."""
+        self._process = self._spare.call() or self._spawned(self._command, subprocess.DEVNULL)
+        self._blamed = ""
+        self.enter(State.STARTING)
+
+    def _spawned(self, command: Sequence[str], stdin: int) -> subprocess.Popen[bytes]:
         with self.log_path.open("ab") as log:
-            self._process = subprocess.Popen(
-                self._command,
-                stdin=subprocess.DEVNULL,
+            return subprocess.Popen(
+                command,
+                stdin=stdin,
                 stdout=log,
                 stderr=log,
                 env=self._environment,
                 process_group=0,  # Ctrl-C in the terminal reaches the supervisor alone
             )
-        self._blamed = ""
-        self.enter(State.STARTING)
 
     def ready(self) -> None:
         """Take note that the process has declared itself ready."""
@@ -105,14 +111,18 @@ class Child:
             return "starts again"
         if self._process is None:
             return None
-        if self.state is State.RUNNING and now - self.since > _STEADY_S:
-            self._failures = 0
+        if self.state is State.RUNNING:
+            # Not in the first seconds: what starts now needs the processor more.
+            if self.spec.spare and now - self.since > _SPARE_AFTER_S:
+                self._spare.keep()
+            if now - self.since > _STEADY_S:
+                self._failures = 0
         code = self._process.poll()
         if code is not None:
             return self._buried(code)
         if self.state is State.STARTING and now - self.since > self.spec.start_s:
             return self.kill(f"was not ready within {self.spec.start_s:g} s")
-        if self.state is not State.STOPPING and _is_stopped(self._process.pid):
+        if self.state is not State.STOPPING and is_stopped(self._process.pid):
             return self.kill("was stopped by a signal")
         return None
 
@@ -132,6 +142,7 @@ class Child:
 
     def stop(self) -> None:
         """Ask the process to end; it will not start again."""
+        self._spare.dismiss()
         if self._process is None:
             if self.state is not State.FAILED:
                 self.enter(State.ENDED)
@@ -154,6 +165,7 @@ class Child:
 
     def end(self) -> None:
         """End the process and everything it started, and wait until it is gone."""
+        self._spare.dismiss()
         if (process := self._process) is not None:
             self.stop()
             _end_group(process.pid)
@@ -189,6 +201,7 @@ class Child:
             return self.reasons[-1]
         policy = self.spec.restart
         if code == 0 and policy != "always":
+            self._spare.dismiss()
             self.enter(State.ENDED)
             return "ended by itself"
         reason = self._reason(code)
@@ -198,9 +211,11 @@ class Child:
         # What a person wrote does not heal, and a device that never was there will not come.
         hopeless = code == 2 or (code == 3 and not self.was_ready)
         if policy == "never" or hopeless:
+            self._spare.dismiss()
             self.enter(State.FAILED)
             return reason
         if self._failures >= _LOOP_FAILURES:
+            self._spare.dismiss()
             self.enter(State.FAILED)
             return f"{reason}; crash loop: {self._failures} failures, given up"
         self.restarts += 1
@@ -227,15 +242,6 @@ def last_line(log: Path) -> str:
     except OSError:
         return ""
     return _PREFIX.sub("", lines[-1]).strip() if lines else ""
-
-
-def _is_stopped(pid: int) -> bool:
-    """Whether a process stands still by SIGSTOP; a debugger's stop has another letter."""
-    try:
-        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        return False
-    return text.rpartition(")")[2].split()[0] == "T"
 
 
 def _end_group(group: int) -> None:

@@ -38,6 +38,8 @@ class NodeSpec:
     """Whether the run ends when this node has failed for good."""
     screen: bool = False
     """Whether the node shows something, and is left out without a screen."""
+    spare: bool = False
+    """Whether a second process stands by, everything imported, to take over when the first one dies."""
     priority: int = 0
     """Of SCHED_FIFO, 1 .. 50; 0 for the ordinary scheduler."""
     nice: int = 0

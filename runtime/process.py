@@ -34,6 +34,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--results-dir", type=Path, help="where results are written")
     parser.add_argument("--robot", help="instead of the graph's")
     parser.add_argument("--seed", type=int, help="instead of the graph's")
+    parser.add_argument(
+        "--spare", action="store_true", help="import everything, then wait for a line on stdin"
+    )
     args = parser.parse_args(argv)
     log_to_stderr()
     log = logging.getLogger(args.name)
@@ -72,6 +75,8 @@ def _run(args: argparse.Namespace, log: logging.Logger) -> int:
     spec = loaded.nodes[args.name]
     realtime.schedule(log, priority=spec.priority, nice=spec.nice, cores=spec.cores)
     resolved = graph.resolve(args.name, spec, str(args.graph), args.run_dir)
+    if args.spare and not sys.stdin.readline():
+        return 0  # nobody needs it any more
 
     def open_bus() -> Bus:
         from runtime.bus_zenoh import ZenohBus

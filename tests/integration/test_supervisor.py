@@ -195,6 +195,48 @@ def test_stopping_ends_the_polite_at_once_and_the_stubborn_within_two_seconds(sc
     assert stage.said("stubborn")[-1] == "did not end within 1.8 s"
 
 
+SPARE = """
+import sys, time
+if "--spare" in sys.argv:
+    print("stands by", flush=True)
+    if not sys.stdin.readline():
+        sys.exit()
+print("works", flush=True)
+time.sleep(600)
+"""
+
+
+def test_a_spare_process_takes_over_and_another_stands_by_for_it(scene, monkeypatch):
+    monkeypatch.setattr("runtime.child._SPARE_AFTER_S", 0.0)
+    stage = scene({"a": SPARE}, a=NodeSpec(module="m", spare=True))
+    stage.ready = {"a"}
+    stage.until(lambda: stage.wrote("a", "works\nstands by\n"))
+    spare = stage.children["a"]._spare.pid
+    os.kill(stage.children["a"].pid, signal.SIGKILL)
+    stage.until(lambda: stage.wrote("a", "works\nstands by\nworks\nstands by\n"))
+    assert stage.children["a"].pid == spare
+    last = stage.children["a"]._spare.pid
+    stage.supervisor.stop()
+    stage.until(lambda: stage.supervisor.over)
+    assert not alive(last)
+
+
+def test_a_spare_process_that_is_dead_or_frozen_is_replaced_by_a_fresh_one(scene, monkeypatch):
+    monkeypatch.setattr("runtime.child._SPARE_AFTER_S", 0.0)
+    for number in (signal.SIGKILL, signal.SIGSTOP):
+        stage = scene({"a": SPARE}, a=NodeSpec(module="m", spare=True))
+        stage.ready = {"a"}
+        stage.until(lambda stage=stage: stage.children["a"]._spare.pid)
+        spare, first = stage.children["a"]._spare.pid, stage.children["a"].pid
+        os.kill(spare, number)
+        os.kill(first, signal.SIGKILL)
+        stage.until(
+            lambda stage=stage: stage.children["a"].restarts == 1 and stage.state("a") is State.RUNNING
+        )
+        assert stage.children["a"].pid not in (first, spare)
+        assert not alive(spare)
+
+
 def test_who_depends_on_others_is_asked_to_end_before_them(scene):
     stage = scene({"source": POLITE, "sink": POLITE}, source=NodeSpec(module="m", after=("sink",)))
     stage.ready = {"sink", "source"}
