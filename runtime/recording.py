@@ -9,7 +9,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from runtime.formats.mcap_log import ACTIVE_SUFFIX, McapChannel, McapWriter
+from runtime.formats.mcap_log import ACTIVE_SUFFIX, McapChannel
+from runtime.formats.mcap_writer import McapWriter
 from runtime.messages import DiagnosticArray, DiagnosticStatus, KeyValue, encode, header
 
 STATUS_TOPIC = "recording"

@@ -6,7 +6,8 @@ import shutil
 import time
 from pathlib import Path
 
-from runtime.formats.mcap_log import ACTIVE_SUFFIX, McapReader, McapWriter
+from runtime.formats.mcap_log import ACTIVE_SUFFIX, McapReader
+from runtime.formats.mcap_writer import McapWriter
 
 
 def keep_ring(ring: Path, folder: Path, within_s: float) -> list[Path]:

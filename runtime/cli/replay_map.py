@@ -138,7 +138,9 @@ def _report(out: Path, recorded: "Recorded", code: int, as_json: bool) -> int:
     from runtime.formats.tum import read_tum, tum_stamp
 
     played_file, result_file = out / "played.json", out / "trajectory.tum"
-    if code not in (0, 130) or not played_file.is_file():
+    if code not in (0, 130):
+        return code  # the reason was said
+    if not played_file.is_file():
         raise HallwayError(f"{out}: the run left no account of what was played; see {out}/logs")
     sent = json.loads(played_file.read_text(encoding="utf-8"))["scan_stamps_ns"]
     mapped = set(read_tum(result_file).stamps_ns.tolist()) if result_file.is_file() else set()

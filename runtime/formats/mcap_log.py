@@ -12,15 +12,11 @@ from typing import Any
 
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
-from mcap.writer import CompressionType, Writer
 
 from runtime.formats.errors import FormatError
-from runtime.messages import TYPES
 
 MAGIC = b"\x89MCAP0\r\n"
 LIBRARY = "hallway"
-CHUNK_BYTES = 256 * 1024
-"""Compressing a chunk stalls its thread for about 10 ms at this size, and 180 ms at 4 MB."""
 ACTIVE_SUFFIX = ".active"
 """What is added to the name of a file that is being written, or that was cut."""
 CHANNEL_RECORD = "hallway.channel"
@@ -73,81 +69,6 @@ class McapMessage:
     """When it arrived."""
     publish_ns: int
     payload: bytes
-
-
-class McapWriter:
-    """Writes one file; `X.mcap.active` until `finish` has renamed it to `X.mcap`."""
-
-    def __init__(
-        self,
-        path: Path,
-        about: Mapping[str, Mapping[str, str]] | None = None,
-        attachments: Mapping[str, bytes] | None = None,
-    ) -> None:
-        self.path = path
-        self.active_path = path.with_name(path.name + ACTIVE_SUFFIX)
-        self._file = self.active_path.open("xb")
-        self._writer: Any = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(profile="ros2", library=LIBRARY)
-        for name, values in (about or {}).items():
-            self._writer.add_metadata(name, dict(values))
-        for name, data in (attachments or {}).items():
-            self._writer.add_attachment(0, 0, name, "text/plain", data)
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[tuple[str, str, str], int] = {}
-        self.flush()
-
-    @property
-    def bytes_written(self) -> int:
-        """Size of the file so far, without the chunk in memory."""
-        return self._file.tell()
-
-    def add(self, channel: McapChannel, sequence: int, log_ns: int, publish_ns: int, payload: bytes) -> None:
-        """Put one message into the chunk in memory."""
-        key = (channel.topic, channel.msgtype, channel.publisher)
-        number = self._channels.get(key)
-        if number is None:
-            number = self._channels[key] = self._register(channel)
-        self._writer.add_message(number, log_ns, payload, publish_ns, max(sequence, 0) & 0xFFFFFFFF)
-
-    def flush(self, to_disk: bool = False) -> None:
-        """Hand everything to the system, which survives a kill; `to_disk` also survives a power cut."""
-        self._writer.flush()
-        if to_disk:
-            os.fdatasync(self._file.fileno())
-
-    def finish(self, about: Mapping[str, Mapping[str, str]] | None = None) -> None:
-        """Write the last metadata and the index, and give the file its own name."""
-        self._writer.flush()
-        for name, values in (about or {}).items():
-            self._writer.add_metadata(name, dict(values))
-        self._writer.finish()
-        self._file.flush()
-        os.fsync(self._file.fileno())
-        self._file.close()
-        self.active_path.rename(self.path)
-        folder = os.open(self.path.parent, os.O_RDONLY)
-        os.fsync(folder)
-        os.close(folder)
-
-    def abandon(self) -> None:
-        """Close without an index, as after a full disk; what was flushed can be read."""
-        self._file.close()
-
-    def _register(self, channel: McapChannel) -> int:
-        schema = self._schemas.get(channel.msgtype)
-        if schema is None:
-            text = TYPES.generate_msgdef(channel.msgtype, ros_version=2)[0]
-            schema = self._writer.register_schema(channel.msgtype, "ros2msg", text.encode())
-            self._schemas[channel.msgtype] = schema
-        metadata = {QOS_KEY: "", **channel.metadata}
-        number = self._writer.register_channel(channel.topic, "cdr", schema, metadata)
-        # MCAP names a channel only in the chunk where it first appears; should that chunk be damaged,
-        # this says again what the later ones hold.
-        named = {"id": str(number), "topic": channel.topic, "type": channel.msgtype}
-        named |= {key: value for key, value in channel.metadata.items() if key != QOS_KEY}
-        self._writer.add_metadata(CHANNEL_RECORD, named)
-        return int(number)
 
 
 @dataclass(slots=True)
@@ -237,9 +158,7 @@ class McapReader:
                 yield McapMessage(channel, record.sequence, record.log_time, record.publish_time, record.data)
             elif isinstance(record, Metadata):
                 if record.name == CHANNEL_RECORD:
-                    named = dict(record.metadata)
-                    number, topic, msgtype = int(named.pop("id")), named.pop("topic"), named.pop("type")
-                    channels.setdefault(number, McapChannel(topic, msgtype, named))
+                    _remember(record.metadata, channels)
                 else:
                     state.metadata[record.name] = dict(record.metadata)
             elif isinstance(record, Attachment):
@@ -278,6 +197,14 @@ class McapReader:
                     yield from parts
                 else:
                     yield record
+
+
+def _remember(metadata: Mapping[str, str], channels: dict[int, McapChannel]) -> None:
+    """Take a channel's name from the record that repeats it, if it is not damaged and tells something new."""
+    named = dict(metadata)
+    number, topic, msgtype = (named.pop(key, "") for key in ("id", "topic", "type"))
+    if number.isdigit() and topic and msgtype:
+        channels.setdefault(int(number), McapChannel(topic, msgtype, named))
 
 
 class Gaps:

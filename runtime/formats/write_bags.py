@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from runtime.formats.laser_log import LaserLog
-from runtime.formats.mcap_log import LATCHED_QOS, McapChannel, McapMessage, McapWriter
+from runtime.formats.mcap_log import LATCHED_QOS, McapChannel, McapMessage
+from runtime.formats.mcap_writer import McapWriter
 from runtime.formats.tum import Trajectory
 from runtime.messages import (
     TYPES,

@@ -20,7 +20,7 @@ CHILD = """
 import sys, threading, time
 sys.path.insert(0, {root!r})
 from runtime.bus_memory import MemoryBus
-from runtime.formats.mcap_log import McapWriter
+from runtime.formats.mcap_writer import McapWriter
 from runtime.node import BusPort
 from runtime.nodes import recorder
 from runtime.recording import RecordingConfig

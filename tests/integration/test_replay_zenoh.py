@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from runtime.cli import main
-from runtime.formats.mcap_log import McapChannel, McapReader, McapWriter
+from runtime.formats.mcap_log import McapChannel, McapReader
+from runtime.formats.mcap_writer import McapWriter
 from runtime.messages import LaserScan, encode, header
 
 ROOT = Path(__file__).resolve().parents[2]

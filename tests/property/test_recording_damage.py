@@ -4,10 +4,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from runtime.formats.mcap_log import MAGIC, Gaps, McapChannel, McapReader, McapWriter
+from runtime.formats.mcap_log import MAGIC, Gaps, McapChannel, McapReader
+from runtime.formats.mcap_writer import McapWriter
 
 CHANNEL = McapChannel("/robot/bumper", "std_msgs/msg/UInt8", {"gid": "aa"})
-many = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+many = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def payload(n):

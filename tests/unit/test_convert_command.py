@@ -7,7 +7,8 @@ import pytest
 
 from runtime.cli import main
 from runtime.formats.logs import open_log
-from runtime.formats.mcap_log import McapChannel, McapReader, McapWriter
+from runtime.formats.mcap_log import McapChannel, McapReader
+from runtime.formats.mcap_writer import McapWriter
 from runtime.formats.tum import read_tum, write_tum
 from runtime.messages import (
     DiagnosticArray,

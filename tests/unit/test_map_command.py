@@ -11,7 +11,8 @@ import pytest
 from processing import se2
 from processing.odometry import Tracking
 from runtime.cli import main
-from runtime.formats.mcap_log import McapChannel, McapWriter
+from runtime.formats.mcap_log import McapChannel
+from runtime.formats.mcap_writer import McapWriter
 from runtime.formats.tum import read_tum
 from runtime.messages import LaserScan, encode, header
 from runtime.nodes.offline import OfflineConfig, OfflineRun

@@ -7,7 +7,8 @@ from rosbags.highlevel import AnyReader
 
 from runtime.formats.errors import FormatError
 from runtime.formats.logs import open_log
-from runtime.formats.mcap_log import Gaps, McapChannel, McapReader, McapWriter
+from runtime.formats.mcap_log import Gaps, McapChannel, McapReader
+from runtime.formats.mcap_writer import McapWriter
 from runtime.messages import LaserScan, decode, encode, header
 from runtime.recording import STATUS_TYPE, Recording, RecordingConfig
 from runtime.recovery import keep_ring, salvage

@@ -5,7 +5,8 @@ import pytest
 
 from runtime.cli.replay import obey
 from runtime.errors import ConfigError
-from runtime.formats.mcap_log import McapChannel, McapWriter
+from runtime.formats.mcap_log import McapChannel
+from runtime.formats.mcap_writer import McapWriter
 from runtime.messages import LaserScan, encode, header
 from runtime.nodes import player
 from runtime.port import ListPort
