@@ -50,6 +50,7 @@ def linearise(poses, ends, measured, information, weights, diagonal, off, gradie
     gradient[:] = 0.0
     error = np.empty(3)
     A, B = np.zeros((3, 3)), np.zeros((3, 3))
+    AW, BW = np.empty((3, 3)), np.empty((3, 3))
     for e in range(ends.shape[0]):
         i, j = ends[e, 0], ends[e, 1]
         yaw = relation_error(poses[i], poses[j], measured[e], error)
@@ -58,13 +59,35 @@ def linearise(poses, ends, measured, information, weights, diagonal, off, gradie
         B[0, 0], B[0, 1], B[1, 0], B[1, 1], B[2, 2] = c, s, -s, c, 1.0
         A[0, 0], A[0, 1], A[1, 0], A[1, 1], A[2, 2] = -c, -s, s, -c, -1.0
         A[0, 2], A[1, 2] = -s * dx + c * dy, -c * dx - s * dy
-        W = information[e] * weights[e]
-        AW, BW = A.T @ W, B.T @ W
-        diagonal[i] += AW @ A
-        diagonal[j] += BW @ B
-        off[e] = AW @ B
-        gradient[i] += AW @ error
-        gradient[j] += BW @ error
+        for a in range(3):
+            for b in range(3):
+                AW[a, b] = BW[a, b] = 0.0
+                for m in range(3):
+                    AW[a, b] += weights[e] * A[m, a] * information[e, m, b]
+                    BW[a, b] += weights[e] * B[m, a] * information[e, m, b]
+        for a in range(3):
+            for b in range(3):
+                off[e, a, b] = 0.0
+                for m in range(3):
+                    diagonal[i, a, b] += AW[a, m] * A[m, b]
+                    diagonal[j, a, b] += BW[a, m] * B[m, b]
+                    off[e, a, b] += AW[a, m] * B[m, b]
+                gradient[i, a] += AW[a, b] * error[b]
+                gradient[j, a] += BW[a, b] * error[b]
+
+
+@njit("void(f8[:,::1], f8[:,::1])", cache=True, nogil=True)
+def invert(m, out):
+    """Write the inverse of a symmetric 3 x 3 by its cofactors; numba's own would need SciPy."""
+    c0 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
+    c1 = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
+    c2 = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
+    scale = 1.0 / (m[0, 0] * c0 + m[0, 1] * c1 + m[0, 2] * c2)
+    out[0, 0], out[0, 1], out[0, 2] = c0 * scale, c1 * scale, c2 * scale
+    out[1, 1] = (m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]) * scale
+    out[1, 2] = (m[0, 1] * m[0, 2] - m[0, 0] * m[1, 2]) * scale
+    out[2, 2] = (m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]) * scale
+    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
 
 
 @njit("void(f8[:,::1], f8[::1], f8[::1])", cache=True, nogil=True, inline="always")
@@ -116,7 +139,7 @@ def factor_chain(diagonal, ends, off, inverse, lower):
                 for b in range(3):
                     for m in range(3):
                         pivot[a, b] -= lower[k, a, m] * coupling[k, m, b]
-        inverse[k] = np.linalg.inv(pivot)
+        invert(pivot, inverse[k])
 
 
 @njit("void(f8[:,:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1])", cache=True, nogil=True)
