@@ -1,5 +1,7 @@
 """The wide search finds the best place of a whole window, and says when another is as good."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -17,7 +19,7 @@ def walls(*segments, spacing_m=0.04):
 
 
 CORNERS = ((0, 0), (10, 0), (10, 6), (4, 6), (4, 4), (0, 4), (0, 0))
-ROOM = walls(*zip(CORNERS[:-1], CORNERS[1:], strict=True), ((6, 2), (7, 3)))
+ROOM = walls(*itertools.pairwise(CORNERS), ((6, 2), (7, 3)))
 
 
 def seen_from(pose, points, count, seed=0):
