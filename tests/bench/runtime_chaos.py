@@ -7,6 +7,7 @@ that name has declared itself ready.
 """
 
 import argparse
+import contextlib
 import json
 import os
 import random
@@ -69,12 +70,9 @@ def rage(run_dir, args):
             time.sleep(0.05)
         for number in range(args.blows):
             name, blow = rng.choice((*names, "hub")), rng.choice((signal.SIGKILL, signal.SIGSTOP))
-            before = pids(run_dir)
-            if name not in before:
-                continue
-            os.kill(before[name], blow)
-            began = time.monotonic()
-            back_s = until_back(health, run_dir, name, before[name], began)
+            old = pid_of(health, run_dir, name)
+            os.kill(old, blow)
+            back_s = until_back(health, run_dir, name, old, time.monotonic())
             blows.append((name, blow.name, back_s))
             told = "not back" if back_s is None else f"{back_s:.2f} s"
             print(f"{number + 1:4} {name:10} {blow.name:8} {told}", flush=True)
@@ -89,28 +87,25 @@ def rage(run_dir, args):
 def until_back(health, run_dir, name, old, began):
     """Wait until another process of that name is ready; return how long it took, or None."""
     while time.monotonic() - began < GIVE_UP_S:
-        fresh = pids(run_dir).get(name)
-        if fresh not in (None, old):
-            vital = health.vitals().get(name)
-            ready = name == "hub" and (run_dir / "hub.sock").exists()
-            if ready or (vital and int(vital.number("pid")) == fresh and name in health.ready()):
-                return time.monotonic() - began
+        fresh = pid_of(health, run_dir, name)
+        ready = (run_dir / "hub.sock").exists() if name == "hub" else name in health.ready()
+        if ready and fresh not in (0, old):
+            return time.monotonic() - began
         time.sleep(0.01)
     return None
 
 
-def pids(run_dir):
-    """Return the processes of this run by name."""
-    found = {}
+def pid_of(health, run_dir, name):
+    """Return the process at work under a name, by its own word; a spare one stands by without a word."""
+    if name != "hub":
+        vital = health.vitals().get(name)
+        return int(vital.number("pid")) if vital else 0
     for entry in Path("/proc").glob("[0-9]*"):
-        try:
+        with contextlib.suppress(OSError):
             words = (entry / "cmdline").read_bytes().decode().split("\0")
-        except OSError:
-            continue
-        if str(run_dir) in words and "-m" in words:
-            name = words[words.index("-m") + 2] if "runtime.node" in words else "hub"
-            found[name] = int(entry.name)
-    return found
+            if str(run_dir) in words and "runtime.hub" in words:
+                return int(entry.name)
+    return 0
 
 
 def report(blows, code, run):
