@@ -52,7 +52,7 @@ def test_faults_1_and_2_damaged_frames_cost_themselves_and_the_robot_drives_on(r
     getattr(rig.emulator, fault)(0.05)
     assert goes_on(rig, 1.5)
     wait(lambda: int(rig.look()[counter]) > 0, what=counter)
-    assert int(rig.values["frames"]) > 50
+    wait(lambda: int(rig.look()["frames"]) > 50, what="good frames")
 
 
 def test_fault_3_a_header_in_the_data_is_data(rig):
