@@ -26,56 +26,87 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Drive until Ctrl-C."""
     from runtime import gate
-    from runtime.bus import Bus
-    from runtime.clock import Clock
     from runtime.errors import ConfigError
-    from runtime.node import BusPort
     from runtime.nodes import teleop
 
     try:
         config = teleop.Config(speed_mps=args.speed, turn_rate_radps=args.turn, name=args.name)
     except ValueError as error:
         raise ConfigError(f"hallway teleop: {error}") from error
-    where = gate.visit(args.robot)
-
-    def open_bus() -> Bus:
-        from runtime.bus_zenoh import ZenohBus
-
-        return ZenohBus(where)
-
-    port = BusPort(
-        "teleop",
-        open_bus,
-        subscribes=teleop.SUBSCRIBES,
-        publishes=teleop.PUBLISHES,
-        robot=args.robot,
-        domain=args.domain,
-        clock=Clock(),
-    )
+    gate.visit(args.robot)  # where there is no such robot, say so before anything else
+    desk = _Desk(args, config)
     for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
-        signal.signal(number, lambda *_: port.stop())
-    return _drive(port, config, args.stick)
+        signal.signal(number, lambda *_: desk.stop())
+    return desk.drive()
 
 
-def _drive(port: Any, config: Any, kind: str) -> int:
-    from runtime.errors import ConfigError
-    from runtime.nodes import gamepad, keyboard, teleop
+class _Desk:
+    """Somebody at a stick: one link to the robot after the other, until the person leaves."""
 
-    terminal = sys.stdin.fileno()
+    def __init__(self, args: argparse.Namespace, config: Any) -> None:
+        from runtime.clock import Clock
 
-    def keys() -> keyboard.Keyboard:
+        self._args, self._config = args, config
+        self._clock = Clock()
+        self._port: Any = None
+        self._leaving = False
+
+    def stop(self) -> None:
+        """Leave soon; called by a signal."""
+        self._leaving = True
+        if self._port is not None:
+            self._port.stop()
+
+    def drive(self) -> int:
+        """Steer; connect again when the link was lost."""
+        from runtime.errors import HallwayError
+        from runtime.nodes import gamepad, keyboard, teleop
+
+        stick = teleop.choose_stick(self._args.stick, self._clock, self._keyboard)
+        by_keys = isinstance(stick, keyboard.Keyboard)
+        painter = _Painter()
+        raw = keyboard.raw(sys.stdin.fileno()) if by_keys else contextlib.nullcontext()
+        with contextlib.closing(stick), raw:
+            print(keyboard.HELP if by_keys else gamepad.HELP)
+            connected = False
+            while not self._leaving:
+                try:
+                    with self._link() as self._port:
+                        connected = True
+                        if teleop.steer(self._port, self._config, stick, painter.show) is teleop.End.LEFT:
+                            return 0
+                except HallwayError as error:
+                    if not connected:
+                        raise
+                    painter.say(f"no link: {error}")
+                self._leaving |= any(wish.leave for wish in stick.poll(0.5))
+        return 0
+
+    def _keyboard(self) -> Any:
+        from runtime.errors import ConfigError
+        from runtime.nodes.keyboard import Keyboard
+
+        terminal = sys.stdin.fileno()
         if not os.isatty(terminal):
             raise ConfigError("the keyboard needs a terminal, standard input is none; try --stick gamepad")
-        return keyboard.Keyboard(terminal, port.clock)
+        return Keyboard(terminal, self._clock)
 
-    stick = teleop.choose_stick(kind, port.clock, keys)
-    by_keys = isinstance(stick, keyboard.Keyboard)
-    try:
-        with keyboard.raw(terminal) if by_keys else contextlib.nullcontext(), port:
-            print(keyboard.HELP if by_keys else gamepad.HELP)
-            return teleop.steer(port, config, stick, _Painter().show)
-    finally:
-        stick.close()
+    def _link(self) -> Any:
+        from runtime import gate
+        from runtime.bus_zenoh import ZenohBus
+        from runtime.node import BusPort
+        from runtime.nodes import teleop
+
+        bus = ZenohBus(gate.visit(self._args.robot))
+        return BusPort(
+            "teleop",
+            lambda: bus,
+            subscribes=teleop.SUBSCRIBES,
+            publishes=teleop.PUBLISHES,
+            robot=self._args.robot,
+            domain=self._args.domain,
+            clock=self._clock,
+        )
 
 
 class _Painter:
@@ -89,13 +120,19 @@ class _Painter:
     def show(self, view: Any) -> None:
         """Paint what there is to see."""
         if not self._terminal:
-            if (line := view.robot_line()) != self._said:
-                self._said = line
-                print(line, flush=True)
+            self.say(view.robot_line())
             return
+        self._said = ""
         width = shutil.get_terminal_size().columns - 1
         lines = [line[:width] for line in view.lines()]
         back = f"\x1b[{self._painted}A" if self._painted else ""
         sys.stdout.write(back + "".join(f"\r\x1b[K{line}\n" for line in lines))
         sys.stdout.flush()
         self._painted = len(lines)
+
+    def say(self, line: str) -> None:
+        """Say something that happened, once as long as it stays the same."""
+        if line != self._said:
+            self._said = line
+            self._painted = 0
+            print(line, flush=True)

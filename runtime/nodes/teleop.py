@@ -9,6 +9,7 @@ import getpass
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any, Protocol
 
 from runtime.clock import Clock
@@ -24,6 +25,7 @@ PUBLISHES: tuple[str, ...] = ("cmd_vel",)
 _POLL_S = 0.05
 _SHOW_NS = 100_000_000
 _SILENT_NS = 3_000_000_000
+_LOST_NS = 5_000_000_000
 
 
 class NoStickError(HallwayError):
@@ -74,31 +76,45 @@ def run(port: Port, config: Config) -> int:
         raise NoStickError("no gamepad at /dev/input/js*; for the keyboard use `hallway teleop`")
     stick = gamepad.Gamepad(pads[0], port.clock)
     try:
-        return steer(port, config, stick)
+        while steer(port, config, stick) is End.LOST:
+            port.count("links_lost")
+        return 0
     finally:
         stick.close()
 
 
-def steer(port: Port, config: Config, stick: Stick, show: Callable[["View"], None] = lambda _: None) -> int:
-    """Turn wishes into messages until the person leaves or the port stops.
+class End(Enum):
+    """Why steering ended."""
+
+    LEFT = "the person left"
+    LOST = "nothing of the robot was heard for a while"
+
+
+def steer(port: Port, config: Config, stick: Stick, show: Callable[["View"], None] = lambda _: None) -> End:
+    """Turn wishes into messages until the person leaves, the port stops, or the link is lost.
 
     Args:
         port: The node's door to the bus.
         config: Speeds and names.
         stick: What to steer with.
         show: Called ten times a second with what there is to see.
+
+    Returns:
+        LOST where it is worth a try to connect anew; links do not always come back by themselves.
     """
     name = config.name or own_name()
     view = View(port.robot, config, name, stick.name)
     battery, diagnostics = port.subscribe("battery"), port.subscribe("diagnostics")
     port.ready()
     shown_ns = 0
+    heard_ns = port.clock.now_ns()
     leaving = False
     while not (port.stopping or leaving):
         for wish in stick.poll(_POLL_S):
             leaving = leaving or wish.leave
             port.publish("cmd_vel", _message(wish, config, name))
         for received in diagnostics.drain():
+            heard_ns = received.received_ns
             view.hear(received.message, received.received_ns)
         for received in battery.drain():
             view.battery = received.message
@@ -108,8 +124,10 @@ def steer(port: Port, config: Config, stick: Stick, show: Callable[["View"], Non
             view.now_ns, view.stick = now_ns, stick.name
             show(view)
             port.report("ok", view.robot_line())
+        if now_ns - heard_ns > _LOST_NS:
+            return End.LOST
     port.publish("cmd_vel", steering_message(name, port.clock.now_ns()))
-    return 0
+    return End.LEFT
 
 
 def own_name() -> str:

@@ -197,7 +197,7 @@ def test_a_wish_goes_out_under_the_time_it_was_made():
     port = ListPort(clock=clock, stop_after=100)
     hand = Hand(Wish(900 * MS, 1.0, -0.5), Wish(950 * MS, intent=Intent.ARM))
     config = teleop.Config(name="anna", speed_mps=0.2, turn_rate_radps=1.0)
-    assert teleop.steer(port, config, hand) == 0
+    assert teleop.steer(port, config, hand) is teleop.End.LEFT
     sent = [(input_of(Received("cmd_vel", m))) for m in port.said("cmd_vel")]
     assert [(i.stamp_ns // MS, i.speed_mps, i.turn_rate_radps, i.intent) for i in sent[:2]] == [
         (900, 0.2, -0.5, Intent.DRIVE),
@@ -206,6 +206,21 @@ def test_a_wish_goes_out_under_the_time_it_was_made():
     assert sent[-1].speed_mps == 0.0  # the last word is to stand
     assert sent[-1].stamp_ns == 1000 * MS
     assert port.is_ready
+
+
+class Patience(ManualClock):
+    """A clock that moves a second each time it is read."""
+
+    def now_ns(self):
+        self.advance(1000 * MS)
+        return super().now_ns()
+
+
+def test_a_robot_of_which_nothing_is_heard_is_worth_another_try():
+    port = ListPort(clock=Patience(), stop_after=1000)
+    hand = Hand(*[Wish(i * MS) for i in range(50)])
+    assert teleop.steer(port, teleop.Config(name="anna"), hand) is teleop.End.LOST
+    assert len(hand.wishes) > 40
 
 
 def diagnostics(name, text="", **values):
