@@ -47,8 +47,8 @@ class ReportData:
     """(N,) in the order of the scans."""
     map_t_laser: NDArray[np.float64]
     """(N, 3)."""
-    states: Sequence[str]
-    """N words of STATES."""
+    states: Sequence[str] | None = None
+    """N words of STATES; None where nobody noted them."""
     score: NDArray[np.float64] | None = None
     """(N,) quality of the match, 0 .. 1."""
     points: NDArray[np.int64] | None = None
@@ -122,14 +122,15 @@ def _summary(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
     steps = np.diff(run.map_t_laser[:, :2], axis=0)
     way_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
     known_m2 = float(np.count_nonzero(~np.isnan(run.probability)) * run.resolution_m**2)
+    states = run.states or ()
     shares = [
         f"{100.0 * share:.1f} % {state}"
         for state in STATES
-        if (share := sum(s == state for s in run.states) / len(run.states)) > 0
+        if states and (share := sum(s == state for s in states) / len(states)) > 0
     ]
     return (
         f"{len(elapsed_s)} scans in {elapsed_s[-1]:.0f} s, {way_m:.1f} m driven, "
-        f"{known_m2:.0f} m² mapped; {', '.join(shares)}"
+        f"{known_m2:.0f} m² mapped{'; ' if shares else ''}{', '.join(shares)}"
     )
 
 
@@ -141,13 +142,14 @@ def _map(run: ReportData) -> str:
 
 
 def _match(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
-    parts = [
-        "<h2>The match along the way</h2>",
-        "<p>Green: the scan fits in every direction. Orange: one direction is not seen, as in a long "
-        "corridor. Red: the scan fits nowhere.</p>",
-        chart.strip(elapsed_s, run.states, _COLOURS),
-        _stretches(run, elapsed_s),
-    ]
+    parts = []
+    if run.states is not None:
+        parts += [
+            "<p>Green: the scan fits in every direction. Orange: one direction is not seen, as in a long "
+            "corridor. Red: the scan fits nowhere.</p>",
+            chart.strip(elapsed_s, run.states, _COLOURS),
+            _stretches(run.map_t_laser, run.states, elapsed_s),
+        ]
     if run.score is not None:
         parts.append(
             chart.lines(elapsed_s, {"score": run.score}, "score of the match, 0 to 1", low=0.0, high=1.0)
@@ -157,19 +159,19 @@ def _match(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
         parts.append(chart.lines(elapsed_s, millimetres, "how well each motion is known, mm", low=0.0))
     if run.points is not None:
         parts.append(chart.lines(elapsed_s, {"points": run.points}, "points used by the match", low=0.0))
-    return "\n".join(parts)
+    return "\n".join(["<h2>The match along the way</h2>", *parts]) if parts else ""
 
 
-def _stretches(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
+def _stretches(map_t_laser: NDArray[np.float64], words: Sequence[str], elapsed_s: NDArray[np.float64]) -> str:
     """List where the match did not hold, the longest first."""
-    states = np.array(run.states)
+    states = np.array(words)
     edges = np.flatnonzero(states[1:] != states[:-1]) + 1
     begins, ends = np.r_[0, edges], np.r_[edges, len(states)] - 1
     bad = [(b, e) for b, e in zip(begins, ends, strict=True) if states[b] != STATES[0]]
     bad.sort(key=lambda be: elapsed_s[be[0]] - elapsed_s[be[1]])
     lines = []
     for begin, end in bad[:_LATE_STRETCHES]:
-        x, y, _ = run.map_t_laser[begin]
+        x, y, _ = map_t_laser[begin]
         lines.append(
             f"{states[begin]} from {elapsed_s[begin]:.1f} to {elapsed_s[end]:.1f} s, at ({x:.1f}, {y:.1f}) m"
         )

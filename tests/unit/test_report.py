@@ -166,3 +166,36 @@ def test_a_single_lost_scan_of_a_long_run_is_seen():
     svg = chart.strip(np.arange(100_000.0), states, {"TRACKING": "#0f0", "LOST": "#f00"})
     (width,) = re.findall(r'width="(\d+)" height="16" fill="#f00"', svg)
     assert int(width) >= 1
+
+
+def test_a_run_that_was_live_has_its_page_made_of_its_files(tmp_path):
+    from runtime.formats.map_server import GridMap
+    from runtime.report_folder import report_on
+    from runtime.results import RunResult, save
+
+    folder = tmp_path / "run"
+    data = run(50)
+    grid = GridMap(data.probability, 0.05, (0.0, 0.0))
+    hops = {"unit": "ms", "hops": {"map": {"count": 9, "p50": 2.5, "p99": 7.0, "max": 8.0}}, "late": 3}
+    processes = {"matcher": {"restarts": 2, "reasons": ["killed by signal 9"]}, "mapper": {"restarts": 0}}
+    events = ["1700 matcher: ended with exit code -9, starts again", "1701 mapper: ready"]
+    result = RunResult(
+        config={"a": 1},
+        stamps_ns=data.stamps_ns,
+        trajectory=data.map_t_laser,
+        odometry=data.map_t_laser,
+        grid=grid,
+        path_m=data.map_t_laser[:, :2],
+        metrics={"latency": hops, "way_m": 0.5},
+        run={"seed": 7, "processes": processes, "events": events},
+    )
+    save(folder, result)
+    assert report_on(folder, "demo")
+    text = " ".join(read((folder / "report.html").read_text()).text)
+    assert "map 2.5 7.0 8.0" in text
+    assert "late 3" in text
+    assert "matcher, started again 2: killed by signal 9" in text
+    assert "matcher: ended with exit code -9" in text
+    assert "mapper: ready" not in text
+    assert "seed 7" in text
+    assert not report_on(tmp_path, "nothing")
