@@ -201,9 +201,16 @@ class Loops:
             self._rebuild()
 
     def _rebuild(self) -> None:
-        self._map.clear()
-        for k in range(self._settled):
-            self._map.add(transform(self.path[k], self.points[k]))
+        if self._settled == 0:
+            self._map.clear()
+            return
+        lengths = [len(points) for points in self.points[: self._settled]]
+        poses = np.repeat(self.path[: self._settled], lengths, axis=0)
+        points = np.vstack(self.points[: self._settled])
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        x = c * points[:, 0] - s * points[:, 1] + poses[:, 0]
+        y = s * points[:, 0] + c * points[:, 1] + poses[:, 1]
+        self._map.rebuild(np.column_stack((x, y)))
 
     def _settle(self) -> None:
         while self.way_m[self._settled] < self.way_m[-1] - self.config.reach_m:

@@ -23,6 +23,9 @@ CHEAP_EVERY = 3
 NEGLIGIBLE = 13.0
 """Particles whose log weight is so far under the best after the cheap scoring are not scored in full."""
 
+FAITH = 1.0
+"""The best particle stays the best until another one's log weight is so much higher: a map does not flicker."""
+
 
 class Population:
     """P particles; random numbers depend on the seed and the number of the key scan alone."""
@@ -59,7 +62,9 @@ class Population:
         predicted = np.ascontiguousarray(se2.compose(se2.compose(self.poses, key_t_laser), normal @ root.T))
         self._refine(sweep, predicted, root)
         self._weigh(sweep)
-        self.best = int(np.argmax(self.log_weights))
+        heaviest = int(np.argmax(self.log_weights))
+        if self.log_weights[heaviest] > self.log_weights[self.best] + FAITH:
+            self.best = heaviest
         self.ancestry.extend(self.poses)
         if effective_size(self.log_weights) >= self.config.particles / 2:
             return False
@@ -152,7 +157,8 @@ class Population:
         self.log_weights = normalise(np.where(chosen, survivors, -1e300))
 
     def _select(self, parents: NDArray[np.int32]) -> None:
-        self.best = int(np.flatnonzero(parents == self.best)[0])
+        if parents[self.best] != self.best:
+            self.best = int(np.argmax(self.log_weights))
         self.ancestry.resample(parents)
         self.store.resample(parents)
         self.poses = self.poses[parents]

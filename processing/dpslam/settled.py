@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.dpslam.settled_kernels import fit_of_points, refit
+from processing.dpslam.settled_kernels import fit_of_points, refit, refit_all
 from processing.matching_kernels import polish
 from processing.ndt import NdtConfig, Points
 from processing.ndt_kernels import accumulate
@@ -60,6 +60,18 @@ class SettledMap:
         accumulate(points, self._origin, self._slots, self._sums, self._places, self._counts)
         self._counts[1] = refit(
             points, self._origin, self._slots, self._sums, self._normals, self._rule, self._counts[1]
+        )
+
+    def rebuild(self, points_map: Points) -> None:
+        """Forget everything and take these points (N, 2), many at once: as if added one scan after the other."""
+        self.clear()
+        if len(points_map) == 0:
+            return
+        self._make_room(points_map)
+        points = np.ascontiguousarray(points_map)
+        accumulate(points, self._origin, self._slots, self._sums, self._places, self._counts)
+        self._counts[1] = refit_all(
+            self._places, self._counts[0], self._slots, self._sums, self._normals, self._rule, self._counts[1]
         )
 
     def fits(self, points: Points, map_t_points: Pose) -> NDArray[np.float64]:

@@ -47,6 +47,35 @@ def refit(points, origin, slots, sums, normals, rule, used):
     return used
 
 
+@njit("i8(i4[:,::1], i8, i4[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], i8)", cache=True, nogil=True)
+def refit_all(places, count, slots, sums, normals, rule, used):
+    """Fit every block that holds one of the first `count` half cells of `places`; return how many are used."""
+    normal = np.empty(5)
+    for k in range(count):
+        row, col = places[k, 0], places[k, 1]
+        for block_row in range(row - 1, row + 1):
+            for block_col in range(col - 1, col + 1):
+                n = su = sv = suu = suv = svv = 0.0
+                for r in range(block_row, block_row + 2):
+                    for c in range(block_col, block_col + 2):
+                        half = slots[0, r, c]
+                        if half >= 0:
+                            n += sums[half, 0]
+                            su += sums[half, 1]
+                            sv += sums[half, 2]
+                            suu += sums[half, 3]
+                            suv += sums[half, 4]
+                            svv += sums[half, 5]
+                if fit(n, su, sv, suu, suv, svv, rule, normal):
+                    slot = slots[1, block_row, block_col]
+                    if slot < 0:
+                        slot = used
+                        slots[1, block_row, block_col] = slot
+                        used += 1
+                    normals[slot, :] = normal
+    return used
+
+
 @njit("void(f8[:,::1], f8[::1], i4[:,:,::1], f8[:,::1], f8[::1], f8[::1])", cache=True, nogil=True)
 def fit_of_points(points, origin, slots, normals, pose, fits):
     """Write the score of each point (N, 2) moved to `pose`, 0 to 1; -1 where the map knows nothing."""

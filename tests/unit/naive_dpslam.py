@@ -308,7 +308,9 @@ class NaiveDpSlam:
             weights[i] = self.log_weights[i] + c.tempering * full
         peak = weights.max()
         self.log_weights = weights - (peak + np.log(np.exp(weights - peak).sum()))
-        self.best = int(np.argmax(self.log_weights))
+        heaviest = int(np.argmax(self.log_weights))
+        if self.log_weights[heaviest] > self.log_weights[self.best] + population.FAITH:
+            self.best = heaviest
         for path, pose in zip(self.paths, self.poses, strict=True):
             path.append(pose)
         if 1.0 / np.exp(2.0 * self.log_weights).sum() < count / 2:
@@ -327,6 +329,7 @@ class NaiveDpSlam:
         self.maps = [self.maps[p].copy() for p in parents]
         self.paths = [list(self.paths[p]) for p in parents]
         self.poses = self.poses[parents]
+        if parents[self.best] != self.best:
+            self.best = int(np.argmax(self.log_weights))
         self.log_weights = np.full(count, -np.log(count))
-        self.best = parents.index(self.best)
         self.selections += 1
