@@ -37,7 +37,7 @@ class Config:
     web_port: int = 9090
     """On 127.0.0.1; where one is taken, a free one is used and named."""
     memory_mb: int = 512
-    """What the program that shows the picture keeps of it, the oldest goes first; it takes about twice that."""
+    """What the program that shows the picture keeps, the oldest goes first; it takes about twice that."""
     file_mb: int = 2048
     """Where a saved file ends."""
     fit: bool = True
