@@ -177,7 +177,8 @@ def _wait(server: Any, asked: list[int]) -> int:
 
 
 def _say(where: str) -> None:
-    print(f"look at {where}; Ctrl-C ends" if "://" in where else f"showing in {where}", flush=True)
+    verb = "look at" if "://" in where else "saving to" if where.endswith(".rrd") else "showing in"
+    print(f"{verb} {where}; Ctrl-C ends", flush=True)
 
 
 @contextmanager

@@ -110,3 +110,22 @@ def test_a_recording_of_something_else_is_named_before_anything_is_written(tmp_p
     assert main(["view", str(tmp_path / "other.mcap"), "--save", str(tmp_path / "x.rrd")]) == 2
     assert "nothing to show" in capsys.readouterr().err
     assert not (tmp_path / "x.rrd").exists()
+
+
+def test_looking_at_a_robot_ends_with_the_robot(tmp_path):
+    graph = tmp_path / "graph.yaml"
+    graph.write_text("robot: looked_at\nnodes:\n  simulator: {module: simulator}\n")
+    hallway = [sys.executable, "-m", "runtime.cli"]
+    up = [*hallway, "up", str(graph), "--headless", "--duration", "6", "--out", str(tmp_path / "run")]
+    view = [*hallway, "view", "--robot", "looked_at", "--save", str(tmp_path / "look.rrd")]
+    with subprocess.Popen(up, stdout=subprocess.PIPE, text=True) as robot:
+        for line in robot.stdout:
+            if line.startswith("all processes run"):
+                break
+        else:
+            raise AssertionError("the robot did not start")
+        look = subprocess.run(view, capture_output=True, text=True, timeout=60, check=False)
+        robot.stdout.read()
+    assert look.returncode == 0, look.stderr
+    assert look.stdout.startswith("saving to ")
+    assert "/state/words: " in entities(tmp_path / "look.rrd")

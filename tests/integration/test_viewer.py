@@ -4,6 +4,7 @@ import importlib.util
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -210,8 +211,6 @@ def test_it_does_not_outlive_whoever_started_it(tmp_path):
         "print(server._process.pid, flush=True)\n"
         "time.sleep(60)\n"
     )
-    import sys
-
     owner = subprocess.Popen(
         [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=Path.cwd()
     )
