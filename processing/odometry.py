@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from processing.matching import Matcher, MatchingConfig
 from processing.motion import UNKNOWN_VARIANCE, Motion
 from processing.ndt import Ndt, NdtConfig
+from processing.observability import view, widened
 from processing.prediction import ConstantVelocity, PredictionConfig, exponential, turned
 from processing.saliency import Resampler, ResamplingConfig
 from processing.scan import Beams, Scan
@@ -105,18 +106,22 @@ class LaserOdometry:
         twist = self._filter.twist if self.config.deskew else np.zeros(3)
         resampler.points(scan, twist, middle_s)
         points = resampler.means()
-        score, evaluations = 0.0, 0
+        score, evaluations, unseen = 0.0, 0, np.zeros((0, 2))
         if prior is not None and len(points) > 0:
             matching = self._matcher.match(points, self._reference, prior)
-            self._filter.correct(matching.pose, turned(matching.information, -matching.pose[2]))
+            seen = view(matching.information)
+            pose = seen.hold(matching.pose, prior.pose)
+            self._filter.correct(pose, turned(seen.information, -pose[2]))
+            unseen = _in_laser(seen.unseen, pose[2])
+            self._filter.bound(unseen)
             score, evaluations = matching.score, matching.evaluations
         key = len(points) > 0 and self._is_key()
         if key:
             self._remember(points)
         return Match(
-            motion=self._motion(scan, middle_s, lost=len(points) == 0 and not first),
-            state=Tracking.TRACKING if len(points) > 0 else Tracking.LOST,
-            blind_rad=None,
+            motion=self._motion(scan, middle_s, unseen, lost=len(points) == 0 and not first),
+            state=Tracking.LOST if len(points) == 0 else _state(unseen),
+            blind_rad=_axis(unseen),
             score=score,
             points_laser=transform(exponential(self._filter.twist * middle_s), points),
             key=key,
@@ -150,11 +155,31 @@ class LaserOdometry:
         del self._keys[:-kept]
         self._reference.build(np.concatenate([key.points_odom for key in self._keys]))
 
-    def _motion(self, scan: Scan, middle_s: float, lost: bool) -> Motion:
-        covariance = np.diag((UNKNOWN_VARIANCE,) * 3) if lost else self._filter.covariance[:3, :3].copy()
+    def _motion(self, scan: Scan, middle_s: float, unseen: Points, lost: bool) -> Motion:
+        covariance = widened(self._filter.covariance[:3, :3], unseen, scan.beams.period_s)
+        if lost:
+            covariance = np.diag((UNKNOWN_VARIANCE,) * 3)
         return Motion(
             stamp_ns=scan.stamp_ns,
             odom_t_laser=snap_yaw(compose(self._filter.pose, exponential(-self._filter.twist * middle_s))),
             covariance=covariance,
             twist=self._filter.twist.copy(),
         )
+
+
+def _state(unseen: Points) -> Tracking:
+    return Tracking.DEGENERATE if len(unseen) else Tracking.TRACKING
+
+
+def _in_laser(directions: Points, yaw_rad: float) -> Points:
+    """Turn unit vectors (K, 2) of the odometry's axes into the laser's."""
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return directions @ np.array(((c, -s), (s, c)))
+
+
+def _axis(unseen: Points) -> float | None:
+    """Return the angle of the first unseen direction, laser frame, in (-pi/2, pi/2]; None if all is seen."""
+    if len(unseen) == 0:
+        return None
+    angle = float(np.arctan2(unseen[0, 1], unseen[0, 0]))
+    return float(np.pi / 2 - (np.pi / 2 - angle) % np.pi)

@@ -115,6 +115,20 @@ class ConstantVelocity:
             self.pose, turned(np.asarray(np.linalg.inv(covariance[:3, :3]), np.float64), self.pose[2])
         )
 
+    def bound(self, unseen: NDArray[np.float64]) -> None:
+        """Hold the doubt of the velocity along unseen directions (K, 2), laser frame, to that of a start.
+
+        A random walk that nobody corrects would soon allow any speed.
+        """
+        for direction in unseen:
+            deviation = float(np.sqrt(direction @ self.covariance[3:5, 3:5] @ direction))
+            if deviation > self._config.speed_m_s:
+                shrink = np.eye(6)
+                along = np.outer(direction, direction) * (1.0 - self._config.speed_m_s / deviation)
+                shrink[3:5, 3:5] -= along
+                shrink[:2, :2] -= along
+                self.covariance = shrink @ self.covariance @ shrink.T
+
     def correct(self, pose: Pose, information_laser: Matrix) -> Twist:
         """Take the pose (3,) found by matching, prior included; return how far it is from the expected one.
 

@@ -1,0 +1,68 @@
+"""Which directions a scan does not see: a plain corridor says nothing along itself.
+
+A match has a score with a slope everywhere, also where it means nothing: the laser's own pattern of rays and
+the edge of the known map pull it to a standstill. Its information tells where that is so. There the motion
+prior is kept and the scan is taken to say nothing (solution remapping: Zhang, Kaess and Singh, ICRA 2016).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing.se2 import Pose
+
+Matrix = NDArray[np.float64]
+
+BLIND_M = 0.1
+"""Standard deviation of one scan from which a direction counts as not seen.
+
+Rooms, halls and corridors with something in sight know every direction of a scan to 0.005 .. 0.06 m; a plain
+corridor leaves the one along it at 0.3 m and more. The limit lies between.
+"""
+SPEED_M_S = 0.3
+"""How far the velocity along an unseen direction may be off what it was: robots of this kind go no faster."""
+MEMORY_S = 2.0
+"""For how long that error stays the same: errors of a velocity add up along the way, not by chance."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What a scan sees of its own motion, on the axes of its information."""
+
+    unseen: NDArray[np.float64]
+    """(K, 2) unit vectors of the directions that are not seen, K = 0, 1 or 2."""
+    information: Matrix
+    """(3, 3) without what was claimed along them."""
+
+    def hold(self, found: Pose, expected: Pose) -> Pose:
+        """Return the found pose (3,) with the expected one's position along what is not seen."""
+        held = found.copy()
+        for direction in self.unseen:
+            held[:2] -= direction * float(direction @ (held[:2] - expected[:2]))
+        return held
+
+
+def view(information: Matrix) -> View:
+    """Tell what is seen from the information (3, 3) of a match: x, y (m), yaw (rad)."""
+    shared = information[:2, 2]
+    # What is left of the position's information when the yaw is not known.
+    position = information[:2, :2] - np.outer(shared, shared) / max(float(information[2, 2]), 1e-9)
+    values, vectors = np.linalg.eigh(0.5 * (position + position.T))
+    unseen = vectors.T[values < 1.0 / BLIND_M**2]
+    seen = np.eye(3)
+    seen[:2, :2] -= unseen.T @ unseen
+    return View(unseen, np.asarray(seen @ information @ seen))
+
+
+def widened(covariance: Matrix, unseen: NDArray[np.float64], duration_s: float) -> Matrix:
+    """Return the covariance (3, 3) of a motion, honestly wide along unseen directions (K, 2).
+
+    What is unknown there is a velocity that keeps its error for a while; both arguments share their axes.
+    """
+    variance = SPEED_M_S**2 * duration_s * MEMORY_S
+    seen = np.eye(3)
+    seen[:2, :2] -= unseen.T @ unseen
+    wide = seen @ covariance @ seen
+    wide[:2, :2] += variance * unseen.T @ unseen
+    return np.asarray(wide)
