@@ -9,7 +9,6 @@ import contextlib
 import os
 import select
 import threading
-import time
 from collections import deque
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from drivers.urg04lx.faults import Damage
 from drivers.urg04lx.model import URG_04LX, Mode, Model
+from drivers.urg04lx.pace import Pace
 from drivers.urg04lx.protocol import LF, STAMP_MODULUS_MS, StreamRequest, encode_reply
 from drivers.urg04lx.scene import Scene, still_room
 from drivers.urg04lx.sensor import Sensor
@@ -45,7 +45,8 @@ class Emulator:
         link: A name for the port that stays; without it the port has the terminal's own name.
         start_ms: The sensor's counter at the start.
         drift: By how much the sensor's clock is faster than the host's.
-        speed: How many times faster than real everything runs; `now_ns` and `sleep` run with it.
+        speed: How many times faster than real everything runs; `now_ns` and `sleep` run with it. Unless it is
+            1, the clock is its own and waits for the sensor where the machine is busy.
         fast: Answer commands at once and not with the revolution.
         chunk_bytes: Most bytes that leave together.
         seed: Of jitter and garbage.
@@ -74,14 +75,13 @@ class Emulator:
         """Every line the host sent."""
         self.sweeps: deque[tuple[int, int]] = deque(maxlen=100_000)
         """Of every scan sent: its stamp (ms), and the true time of its step 0 (ns, `now_ns`)."""
-        self.dropped = 0
-        """Scans the line had no room for."""
-        self._scene = scene or still_room(seed)
+        self.drops: deque[int] = deque(maxlen=100_000)
+        """Stamps (ms) of the scans the line had no room for: none of `sweeps`."""
         self._scene = scene or still_room(seed)
         self._rng = np.random.default_rng(seed)
         self._wire = Wire(rs232=rs232, link=link, chunk_bytes=chunk_bytes, rng=self._rng)
-        self._speed, self._fast, self._drift, self._start_ms = speed, fast, drift, start_ms
-        self._real_origin_ns = time.monotonic_ns()
+        self._fast, self._drift, self._start_ms = fast, drift, start_ms
+        self._pace = Pace(speed)
         self._host_step_ns = 0
         self._timer_zero_ns = self._turn_ns = self._true_ns()
         self._ready_ns = self._turn_ns
@@ -112,6 +112,11 @@ class Emulator:
     def terminal(self) -> str:
         """The terminal's own name behind `port`."""
         return self._wire.terminal
+
+    @property
+    def dropped(self) -> int:
+        """How many scans the line had no room for."""
+        return len(self.drops)
 
     def __enter__(self) -> "Emulator":
         self._wire.plug()
@@ -154,7 +159,7 @@ class Emulator:
 
     def sleep(self, duration_s: float) -> None:
         """Sleep as long as takes `duration_s` on this clock."""
-        time.sleep(duration_s / self._speed)
+        self._pace.sleep(duration_s)
 
     def step_host_clock(self, step_s: float) -> None:
         """Make the host's clock jump."""
@@ -208,30 +213,43 @@ class Emulator:
     # ---- the thread
 
     def _run(self) -> None:
-        while not self._closing:
+        try:
+            while not self._closing:
+                self._wait_until(self._do_what_is_due())
+        finally:
+            self._pace.release()
+
+    def _do_what_is_due(self) -> int:
+        """Catch up with the clock; return when (ns) there will be something to do again."""
+        with self._lock:
+            now_ns = self._true_ns()
+            while now_ns >= min(self._swept_ns, self._due_ns):
+                if self._swept_ns < self._due_ns:
+                    self._end_sweep()
+                else:
+                    self._end_turn()
+            while self._fast and self._pending:
+                self._answer(self._pending.popleft(), now_ns)
+            piece_ns = self._wire.transmit(now_ns, self.sensor.baud)
+            if not self._wire.busy:
+                self.sensor.baud = self.sensor.next_baud
+            due_ns = min(self._swept_ns, self._due_ns, piece_ns or self._due_ns)
+            self._pace.done_until(due_ns)
+            return due_ns
+
+    def _wait_until(self, due_ns: int) -> None:
+        """Wait for a time, or for something on the line before."""
+        with self._lock:
+            fds = [self._wake_r, *([self._wire.master] if self._wire.plugged else [])]
+        wait_s = max(0.0, (due_ns - self._true_ns()) / 1e9 / self._pace.speed)
+        # Unplugging closes descriptors under the waiting thread; the next round knows better.
+        with contextlib.suppress(OSError, ValueError):
+            ready, _, _ = select.select(fds, [], [], wait_s)
+            if self._wake_r in ready:
+                os.read(self._wake_r, 1024)
             with self._lock:
-                now_ns = self._true_ns()
-                while now_ns >= min(self._swept_ns, self._due_ns):
-                    if self._swept_ns < self._due_ns:
-                        self._end_sweep()
-                    else:
-                        self._end_turn()
-                while self._fast and self._pending:
-                    self._answer(self._pending.popleft(), now_ns)
-                piece_ns = self._wire.transmit(now_ns, self.sensor.baud)
-                if not self._wire.busy:
-                    self.sensor.baud = self.sensor.next_baud
-                wait_until_ns = min(self._swept_ns, self._due_ns, piece_ns or self._due_ns)
-                fds = [self._wake_r, *([self._wire.master] if self._wire.plugged else [])]
-            wait_s = max(0.0, (wait_until_ns - self._true_ns()) / 1e9 / self._speed)
-            # Unplugging closes descriptors under the waiting thread; the next round knows better.
-            with contextlib.suppress(OSError, ValueError):
-                ready, _, _ = select.select(fds, [], [], wait_s)
-                if self._wake_r in ready:
-                    os.read(self._wake_r, 1024)
-                with self._lock:
-                    if self._wire.master in ready:
-                        self._receive(self._wire.receive(self.sensor.baud))
+                if self._wire.master in ready:
+                    self._receive(self._wire.receive(self.sensor.baud))
 
     def _receive(self, chunk: bytes) -> None:
         *lines, rest = (self._input + chunk.replace(b"\r", LF)).split(LF)
@@ -260,6 +278,8 @@ class Emulator:
     def _end_turn(self) -> None:
         """Send the sweep that is ready, and answer one command."""
         at_ns = self._due_ns
+        # What was due before has left by then, however late this thread may be.
+        self._wire.transmit(at_ns, self.sensor.baud)
         self._turn_ns += PERIOD_NS
         self._due_ns = self._turn_ns + _LATENCY_NS + int(self._rng.integers(_JITTER_NS))
         request = self._pending.popleft() if self._pending else b""
@@ -274,7 +294,7 @@ class Emulator:
         if at_ns < self._silent_until_ns:
             return
         if self._wire.busy:
-            self.dropped += 1
+            self.drops.append(stamp_ms)
             return
         self.sweeps.append((stamp_ms, step_0_ns + self._host_step_ns))
         if self._spoils:
@@ -326,8 +346,7 @@ class Emulator:
         return (self._start_ms + int(ticks_ms // 1)) % STAMP_MODULUS_MS
 
     def _true_ns(self) -> int:
-        real_ns = time.monotonic_ns()
-        return self._real_origin_ns + round((real_ns - self._real_origin_ns) * self._speed)
+        return self._pace.now_ns()
 
     def _nudge(self) -> None:
         os.write(self._wake_w, b"x")

