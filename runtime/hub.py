@@ -9,7 +9,7 @@ import logging
 import os
 import signal
 import sys
-import threading
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -32,9 +32,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--domain", type=int, default=0)
     args = parser.parse_args(argv)
     log_to_stderr()
-    stop = threading.Event()
+    asked_to_stop: list[
+        int
+    ] = []  # not an Event: a second signal in the middle of setting it would wait for ever
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: stop.set())
+        signal.signal(number, lambda number, _: asked_to_stop.append(number))
     from runtime.bus_zenoh import ZenohBus
 
     try:
@@ -43,8 +45,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             door = gate.door(keys.authority(args.robot), args.robot, args.domain, args.remote)
         with ZenohBus(links.hub(args.run_dir, door)):
             # In slices: a signal that another thread takes does not end a wait without end.
-            while not stop.wait(_SLICE_S):
-                continue
+            while not asked_to_stop:
+                time.sleep(_SLICE_S)
     except HallwayError as error:
         logging.getLogger("hub").error("%s", error)
         return error.exit_code

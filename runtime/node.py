@@ -77,7 +77,8 @@ class BusPort:
         self._inboxes: list[Inbox] = []
         self._tokens: list[Handle] = []
         self._entities = 0
-        self._stop = threading.Event()
+        self._asked_to_stop = False
+        self._closing = threading.Event()
         self._beating: threading.Thread | None = None
         self._counters: dict[str, int] = {}
         self._state: tuple[Level, str, dict[str, object]] = ("ok", "starting", {})
@@ -91,7 +92,7 @@ class BusPort:
     def stopping(self) -> bool:
         """See Port.stopping."""
         self._turned_monotonic = time.monotonic()
-        return self._stop.is_set()
+        return self._asked_to_stop
 
     def subscribe(self, topic: str, *, keep: int | None = None, raw: bool = False) -> Subscription:
         """See Port.subscribe."""
@@ -149,8 +150,11 @@ class BusPort:
     # ---- what the frame does ----
 
     def stop(self) -> None:
-        """Ask the node to stop."""
-        self._stop.set()
+        """Ask the node to stop; a signal handler may call it, for it takes no lock.
+
+        Setting an Event would: a second signal that arrives in the middle of it waits for ever.
+        """
+        self._asked_to_stop = True
 
     def beat(self) -> None:
         """Publish how the node is, now."""
@@ -181,7 +185,8 @@ class BusPort:
 
     def close(self) -> None:
         """Say the last word and leave the bus."""
-        self._stop.set()
+        self._asked_to_stop = True
+        self._closing.set()
         if self._beating is not None:
             self._beating.join()
         if self._bus is not None:
@@ -220,7 +225,7 @@ class BusPort:
         self._tokens.append(bus.token(token))
 
     def _heartbeat(self) -> None:
-        while not self._stop.wait(HEARTBEAT_S):
+        while not self._closing.wait(HEARTBEAT_S):
             self.beat()
 
 
