@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from processing.evolution import EvolutionConfig, maximise, random_state
-from processing.ndt import Cloud, Ndt, NdtConfig
+from processing.ndt import Ndt, NdtConfig
 from processing.odometry import OdometryConfig
 from processing.saliency import Resampler
 from processing.scan import end_points
@@ -37,7 +37,7 @@ def evolution(drive: Drive, number: int, seed: int) -> Image.Image:
     config = OdometryConfig()
     reference, scan = (_resampled(drive, n) for n in (number, number + 3))
     ndt = Ndt(NdtConfig(cell_m=config.ndt.cell_m))
-    ndt.build([Cloud.of(reference)])
+    ndt.build(reference)
     half = np.array((0.5, 0.5, 0.3))
     frames = []
     for generations in (0, 5, 15, 40):
