@@ -1,7 +1,8 @@
 """Each particle against its own whole map: Gauss-Newton on the normal distributions of its tiles.
 
-The NDT cells are squares of 2 x 2 blocks that overlap by half in both directions (four shifted grids), built from the
-block moments of the particle's own tiles. The motion is the prior: where the map constrains nothing, it decides.
+The NDT cells are squares of 2 x 2 blocks that overlap by half in both directions (four shifted grids), built
+from the block moments of the particle's own tiles. The motion is the prior: where the map constrains nothing,
+it decides.
 """
 
 import numpy as np
@@ -25,8 +26,8 @@ LEAST_SPREAD_M = 0.02
 """No wall is thinner: range noise and the cell's own width."""
 LONG = 10.0
 STRETCH = 1e4
-"""A cell whose long variance is LONG times its short one is a wall: it constrains across itself only, for where its
-points end depends on where the cell lies. Its long variance is stretched by this factor."""
+"""A cell whose long variance is LONG times its short one is a wall: it constrains across itself only, for
+where its points end depends on where the cell lies. Its long variance is stretched by this factor."""
 ITERATIONS = 12
 
 
@@ -42,7 +43,7 @@ def _normal(
     normals: NDArray[np.float64],
     slot: int,
 ) -> bool:
-    """Write mean x, y and inverse covariance xx, xy, yy of the NDT cell from that block on; False if there is none.
+    """Write mean x, y and inverse covariance xx, xy, yy of one NDT cell; False if there is none.
 
     The mean is counted from the lower left corner of the block (block_row, block_col).
     """
@@ -86,12 +87,17 @@ def _normal(
         long *= STRETCH
     a, b_ = 1.0 / long, 1.0 / short
     normals[slot, 0], normals[slot, 1] = mx, my
-    normals[slot, 2], normals[slot, 3], normals[slot, 4] = a * c * c + b_ * s * s, (a - b_) * c * s, a * s * s + b_ * c * c
+    normals[slot, 2], normals[slot, 3], normals[slot, 4] = (
+        a * c * c + b_ * s * s,
+        (a - b_) * c * s,
+        a * s * s + b_ * c * c,
+    )
     return True
 
 
 @njit(
-    f"void({_STORE}, i4[:,:,::1], i8, i8, i8, f8[:,::1], f8[::1], f8[:,::1], f8, f8[::1], f8[:,::1], f8[::1])",
+    f"void({_STORE}, i4[:,:,::1], i8, i8, i8, "
+    "f8[:,::1], f8[::1], f8[:,::1], f8, f8[::1], f8[:,::1], f8[::1])",
     cache=True,
     nogil=True,
 )

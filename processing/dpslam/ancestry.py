@@ -1,8 +1,8 @@
 """The ancestry tree: who descends from whom, and the path that each lineage walked.
 
-A particle is a leaf. A node holds a stretch of path; nodes without a child die, a node with one child is merged
-into it, so P particles need fewer than 2 P nodes however long the run. Path records live in one pool and point
-backwards; merging two nodes only joins their stretches, nothing is copied.
+A particle is a leaf. A node holds a stretch of path; nodes without a child die, a node with one child is
+merged into it, so P particles need fewer than 2 P nodes however long the run. Path records live in one pool
+and point backwards; merging two nodes only joins their stretches, nothing is copied.
 """
 
 from typing import Any
@@ -147,7 +147,8 @@ class Ancestry:
     """
 
     def __init__(self, particles: int) -> None:
-        # A resampling creates the new leaves while the old ones become inner nodes: one spare for each particle.
+        # A resampling creates the new leaves while the old ones become inner nodes: one spare for each
+        # particle.
         size = 3 * particles
         self.leaves = np.arange(particles, dtype=np.int32)
         self.nodes = np.full((size, 4), NONE, dtype=np.int32)

@@ -1,11 +1,13 @@
-"""DP-SLAM: a particle filter over whole maps, moved by the scan matcher, each particle refined on its own map.
+"""DP-SLAM: a particle filter over whole maps, each particle refined on its own map.
 
-Every scan gives a pose; key scans, a quarter of a metre apart, are worked into the maps: predict with the motion and
-its covariance, refine each particle on its own map, weigh by the laser model, select when few share the weight, write.
-When the laser is found to have come back, the whole population relives its path along a smoothed one.
+Every scan gives a pose; key scans, a quarter of a metre apart, are worked into the maps: predict with the
+motion and its covariance, refine each particle on its own map, weigh by the laser model, select when few
+share the weight, write. When the laser is found to have come back, the whole population relives its path
+along a smoothed one.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -23,8 +25,10 @@ from processing.dpslam.sweep import Sweeper
 from processing.dpslam.trail import Trail
 from processing.motion import Motion
 from processing.occupancy import OccupancyGrid, occupancy_of
-from processing.scan import Scan
+from processing.scan import Beams, Scan
 from processing.se2 import Pose
+
+_BEAMS = tuple(field.name for field in fields(Beams))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +74,7 @@ class DpSlam:
             raise ValueError(f"motion of scan {motion.stamp_ns}, must be of scan {scan.stamp_ns}")
         if self._sweeper is None:
             self._sweeper = Sweeper(scan.beams, self.config.points, self.config.range_max_m)
+        self._sweeper.check(scan)
         odom = np.array(motion.odom_t_laser, dtype=np.float64)
         first = self._trail.scans == 0
         if first:
@@ -96,13 +101,68 @@ class DpSlam:
         return self._answer(np.zeros(3), updated=True, resampled=resampled, closed=moved is not None)
 
     def relive(self, path: Pose) -> None:
-        """Move the whole population onto one path (K, 3), a pose for each key scan so far; maps are drawn anew."""
+        """Move the population onto one path (K, 3), a pose a key scan; the maps are drawn anew."""
         self.population.relive(path, self._scans)
 
     def finish(self) -> None:
-        """Lay the whole path as all its relations want it: for the end of a run, before its results are read."""
+        """Lay the path as all its relations want it, at the end of a run, before its results are read."""
         if self.loops is not None and self.loops.places:
             self.relive(self.loops.smoothed())
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return the whole posterior as arrays; `from_state` goes on from it, bit for bit."""
+        parts = {
+            "people": self.population.state(),
+            "scans": self._scans.state(),
+            "trail": self._trail.state(),
+        }
+        if self.loops is not None:
+            parts["loops"] = self.loops.state()
+        own = {
+            "key_odom_t_laser": self._key_odom.copy(),
+            "odom_t_laser": self._odom.copy(),
+            "covariance": self._covariance.copy(),
+            "particles": np.array(self.config.particles),
+        }
+        if self._sweeper is not None:
+            b = self._sweeper.beams
+            own["beams"] = np.array([getattr(b, name) for name in _BEAMS])
+        return own | {
+            f"{part}.{name}": value for part, arrays in parts.items() for name, value in arrays.items()
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, NDArray[Any]], config: DpSlamConfig | None = None) -> "DpSlam":
+        """Return the mapper whose `state` was taken, under the same configuration.
+
+        Raises:
+            ValueError: the configuration is of other particles, or closes loops where the state has none.
+        """
+        slam = cls(config)
+        particles = int(state["particles"])
+        if particles != slam.config.particles:
+            raise ValueError(
+                f"{slam.config.particles} particles, must be {particles} as when the state was taken"
+            )
+
+        def part(name: str) -> dict[str, NDArray[Any]]:
+            skip = len(name) + 1
+            return {key[skip:]: value for key, value in state.items() if key.startswith(f"{name}.")}
+
+        if (slam.loops is not None) != bool(part("loops")):
+            raise ValueError(f"close_loops = {slam.config.close_loops}, must be as when the state was taken")
+        slam.population.restore(part("people"))
+        slam._scans.restore(part("scans"))
+        slam._trail.restore(part("trail"))
+        if slam.loops is not None:
+            slam.loops.restore(part("loops"))
+        slam._key_odom, slam._odom = state["key_odom_t_laser"].copy(), state["odom_t_laser"].copy()
+        slam._covariance = state["covariance"].copy()
+        if "beams" in state:
+            count, *angles = state["beams"].tolist()
+            beams = Beams(count=int(count), **dict(zip(_BEAMS[1:], angles, strict=True)))
+            slam._sweeper = Sweeper(beams, slam.config.points, slam.config.range_max_m)
+        return slam
 
     def trajectory(self) -> tuple[NDArray[np.int64], Pose]:
         """Return stamps (N,) and map_t_laser (N, 3) of every scan so far, by the best particle's ancestry."""

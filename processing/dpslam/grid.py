@@ -1,14 +1,14 @@
 """One store for the maps of all particles: tiles of 32 x 32 cells, shared until somebody writes.
 
-A particle is a table of tile numbers. Descendants share their ancestors' tiles; a write to a tile with more than one
-owner copies it first (copy on write), and a tile without owner goes back to the pool. This is the ancestry of DP-SLAM
-at the grain of a tile: a look-up costs one table read instead of a walk through the lineage, and memory grows with
-what the particles see differently, not with particles times area.
+A particle is a table of tile numbers. Descendants share their ancestors' tiles; a write to a tile with more
+than one owner copies it first (copy on write), and a tile without owner goes back to the pool. This is the
+ancestry of DP-SLAM at the grain of a tile: a look-up costs one table read instead of a walk through the
+lineage, and memory grows with what the particles see differently, not with particles times area.
 
-A cell holds its stops and the metres travelled through it, and apart from them, because rays that pass do not read it,
-the mean of its end points; all in 16 bit fixed point, for the time of an update is the time to reach memory.
-A block of 4 x 4 cells holds the moments (n, x, y, xx, xy, yy) of its occupied cells, kept beside the tile so that
-particles who share a tile share the matcher's reference too.
+A cell holds its stops and the metres travelled through it, and apart from them, because rays that pass do not
+read it, the mean of its end points; all in 16 bit fixed point, for the time of an update is the time to reach
+memory. A block of 4 x 4 cells holds the moments (n, x, y, xx, xy, yy) of its occupied cells, kept beside the
+tile so that particles who share a tile share the matcher's reference too.
 """
 
 from dataclasses import dataclass
@@ -41,13 +41,21 @@ PLACES = 65536.0
 """Units of the side of a cell, for end points."""
 
 _STORE = "Tuple((u2[:,::1], u2[:,::1], f4[:,::1], u1[:,::1], i4[::1], i4[::1], i8[::1]))"
-"""Type of `TileStore.arrays`, one row a tile: stops and metres (row, column, two), mean end points (row, column, x, y),
-blocks (row, column, moment), which blocks are stale, owners, free tiles, number of free tiles. Rows are flat: compiled
-loops copy them as one stretch."""
+"""Type of `TileStore.arrays`, one row a tile: stops and metres (row, column, two), mean end points (row,
+column, x, y), blocks (row, column, moment), which blocks are stale, owners, free tiles, number of free tiles.
+Rows are flat: compiled loops copy them as one stretch."""
 
 Arrays: TypeAlias = tuple[
-    Cells, Cells, NDArray[np.uint8], NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]
+    Cells,
+    Cells,
+    Blocks,
+    NDArray[np.uint8],
+    NDArray[np.int32],
+    NDArray[np.int32],
+    NDArray[np.int64],
 ]
+Maps: TypeAlias = tuple[Arrays, Table, int, int]
+"""What compiled loops read maps by: store, tables, and the tile (row, column) of the tables' corner."""
 
 
 @njit(f"i4({_STORE}, i4[:,:,::1], i8, i8, i8)", cache=True, nogil=True)
@@ -106,7 +114,7 @@ def _resample(store: Arrays, table: Table, parents: NDArray[np.int32]) -> None:
 
 @dataclass(slots=True)
 class Extent:
-    """Which tiles the tables cover: tile (row, col) lies at (first_row + row, first_col + col) of the plane."""
+    """Which tiles the tables cover: (row, col) lies at (first_row + row, first_col + col) of the plane."""
 
     first_row: int
     first_col: int
@@ -131,7 +139,12 @@ class TileStore:
     def bytes_used(self) -> int:
         """Memory of the used tiles and of all tables."""
         each = sum(array.nbytes for array in self.arrays[:4]) // self.arrays[0].shape[0]
-        return self.tiles_used * each + self.table.nbytes
+        return int(self.tiles_used * each + self.table.nbytes)
+
+    @property
+    def maps(self) -> Maps:
+        """The arrays as compiled loops take them; valid until `cover`, `reserve` or `restore`."""
+        return self.arrays, self.table, self.extent.first_row, self.extent.first_col
 
     def resample(self, parents: NDArray[np.int32]) -> None:
         """Give particle i the map of particle `parents[i]`; survivors must keep their own place.
@@ -188,8 +201,8 @@ class TileStore:
             return
         size = owners.shape[0]
         grown = _empty(size + max(lacking, size // 2))
-        for old, new in zip(self.arrays[:5], grown[:5], strict=True):
-            new[:size] = old
+        for number in range(5):
+            grown[number][:size] = self.arrays[number]
         free = grown[5]
         fresh = grown[4].shape[0] - size
         # Old numbers on top: a tile that was used already is taken again before untouched memory is.

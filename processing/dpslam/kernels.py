@@ -1,4 +1,4 @@
-"""Loops over particles: refine, weigh, write. Each particle is independent of the others until the selection."""
+"""Loops over particles: refine, weigh, write; each is independent of the others until the selection."""
 
 import numpy as np
 from numba import njit

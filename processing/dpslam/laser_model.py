@@ -1,10 +1,10 @@
 """The laser model of DP-SLAM 2.0: how far a ray travels through a cell against how often rays stop there.
 
-A cell that rays crossed for d metres and in which h of them stopped has the density rho = (h + rho0 d0) / (d + d0),
-where rho0 is the density of unseen space and d0 its strength. A ray stops within a stretch x of the cell with
-probability 1 - exp(-rho x). The likelihood of a reading is the sum, over the cells of its ray, of
-P(it came so far) P(it stops here) N(e), where e is the reading's distance from the cell and N falls like a normal
-density from 1 at 0: N(e) = (1 - (e / 4 sigma)^2)^8, without its endless ends.
+A cell that rays crossed for d metres and in which h of them stopped has the density rho = (h + rho0 d0) / (d
++ d0), where rho0 is the density of unseen space and d0 its strength. A ray stops within a stretch x of the
+cell with probability 1 - exp(-rho x). The likelihood of a reading is the sum, over the cells of its ray, of
+P(it came so far) P(it stops here) N(e), where e is the reading's distance from the cell and N falls like a
+normal density from 1 at 0: N(e) = (1 - (e / 4 sigma)^2)^8, without its endless ends.
 """
 
 import numpy as np
@@ -136,8 +136,8 @@ def write_rays(
 ) -> int:
     """Write the sweep into one particle's map: metres along each ray, a stop at its end.
 
-    `first_row`, `first_col`: tile of the table's corner. `memory`: observations after which a cell starts to forget
-    (an exponential window), so that what has moved away fades. `touched` takes the tiles written to.
+    `first_row`, `first_col`: tile of the table's corner. `memory`: observations after which a cell starts to
+    forget (an exponential window), so that what has moved away fades. `touched` takes the tiles written to.
 
     Returns:
         The number of tiles in `touched`.
@@ -249,7 +249,9 @@ def score_rays(
             density = PRIOR_DENSITY
             if tile != NONE:
                 k = ((row & (TILE - 1)) * TILE + (col & (TILE - 1))) * 2
-                density = (cells[tile, k] * _STOPS_PER_METRES + _PRIOR_STOPS) / (cells[tile, k + 1] + _PRIOR_METRES)
+                density = (cells[tile, k] * _STOPS_PER_METRES + _PRIOR_STOPS) / (
+                    cells[tile, k + 1] + _PRIOR_METRES
+                )
             thick = density * ((until - at) * length)
             off = (start + 0.5 * (at + until) * length - reading) * (1.0 / NEAR_M)
             near = 1.0 - off * off

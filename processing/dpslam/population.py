@@ -10,6 +10,7 @@ from processing.dpslam import kernels
 from processing.dpslam.ancestry import Ancestry
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.grid import TileStore
+from processing.dpslam.laser_model import place_rays
 from processing.dpslam.memory import KeyScans
 from processing.dpslam.proposal import Matrix, noise_root, priors
 from processing.dpslam.resampling import effective_size, normalise, systematic_parents
@@ -24,7 +25,7 @@ NEGLIGIBLE = 13.0
 """Particles whose log weight is so far under the best after the cheap scoring are not scored in full."""
 
 FAITH = 1.0
-"""The best particle stays the best until another one's log weight is so much higher: a map does not flicker."""
+"""The best particle stays it until another one's log weight is so much higher: maps do not flicker."""
 
 
 class Population:
@@ -82,18 +83,18 @@ class Population:
         self.store.cover(self.poses[:, :2].min(axis=0) - reach, self.poses[:, :2].max(axis=0) + reach)
         done = 0
         while True:
-            done = kernels.write_all(*self._maps(), rays, self.poses, self.config.memory, done)
+            done = kernels.write_all(*self.store.maps, rays, self.poses, self.config.memory, done)
             if done == len(self.poses):
                 return
             placed = np.empty_like(rays)
-            kernels.place_rays(self.poses[done], rays, placed)
+            place_rays(self.poses[done], rays, placed)
             self.store.reserve(kernels.tiles_under(placed))
 
     def relive(self, path: Pose, scans: KeyScans) -> None:
         """Give the whole population one path, and maps drawn anew along it.
 
-        The move step of a resample-move particle filter. Each particle keeps its offset from the best one as its
-        place around the end of the path, and its weight.
+        The move step of a resample-move particle filter. Each particle keeps its offset from the best one as
+        its place around the end of the path, and its weight.
 
         Args:
             path: (K, 3) poses of all key scans so far, all of them written.
@@ -115,7 +116,9 @@ class Population:
         done = 0
         while done < self.keys:
             self.store.reserve(tiles)
-            done = kernels.write_path(*self._maps(), scans.rays, scans.ends, path, self.config.memory, done)
+            done = kernels.write_path(
+                *self.store.maps, scans.rays, scans.ends, path, self.config.memory, done
+            )
         self.store.share(0)
 
     def state(self) -> dict[str, NDArray[Any]]:
@@ -132,16 +135,12 @@ class Population:
         self.poses, self.log_weights = state["poses"].copy(), state["log_weights"].copy()
         self.seed, self.best, self.keys = (int(v) for v in state["counts"])
 
-    def _maps(self) -> tuple[Any, ...]:
-        e = self.store.extent
-        return self.store.arrays, self.store.table, e.first_row, e.first_col
-
     def _refine(self, sweep: Sweep, predicted: Pose, root: Matrix) -> None:
         c = self.config
         ties = priors(root, c.prior_m, c.prior_rad, predicted[:, 2])
         information, results = np.empty((c.particles, 3, 3)), np.empty((c.particles, 2))
         poses = np.empty_like(predicted)
-        kernels.refine_all(*self._maps(), sweep.points, predicted, ties, GAIN, poses, information, results)
+        kernels.refine_all(*self.store.maps, sweep.points, predicted, ties, GAIN, poses, information, results)
         self.poses = poses
 
     def _weigh(self, sweep: Sweep) -> None:
@@ -149,10 +148,10 @@ class Population:
         rays = sweep.rays[:: max(1, len(sweep.rays) // c.rays)].copy()
         chosen = np.ones(c.particles, dtype=np.uint8)
         cheap, full = np.zeros(c.particles), np.zeros(c.particles)
-        kernels.weigh_all(*self._maps(), rays, self.poses, CHEAP_EVERY, False, chosen, cheap)
+        kernels.weigh_all(*self.store.maps, rays, self.poses, CHEAP_EVERY, False, chosen, cheap)
         estimate = self.log_weights + c.tempering * CHEAP_EVERY * cheap
         chosen = (estimate >= estimate.max() - NEGLIGIBLE).astype(np.uint8)
-        kernels.weigh_all(*self._maps(), rays, self.poses, 1, True, chosen, full)
+        kernels.weigh_all(*self.store.maps, rays, self.poses, 1, True, chosen, full)
         survivors = self.log_weights + c.tempering * full
         self.log_weights = normalise(np.where(chosen, survivors, -1e300))
 

@@ -1,4 +1,4 @@
-"""Where particles may be after a motion: its covariance as noise, and the prior that ties a refinement to it."""
+"""Where particles may be after a motion: its covariance as noise, and the prior of a refinement."""
 
 import numpy as np
 from numpy.typing import NDArray

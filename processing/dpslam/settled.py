@@ -63,7 +63,7 @@ class SettledMap:
         )
 
     def rebuild(self, points_map: Points) -> None:
-        """Forget everything and take these points (N, 2), many at once: as if added one scan after the other."""
+        """Forget everything and take these points (N, 2) at once, as if added one scan after the other."""
         self.clear()
         if len(points_map) == 0:
             return

@@ -49,7 +49,7 @@ def refit(points, origin, slots, sums, normals, rule, used):
 
 @njit("i8(i4[:,::1], i8, i4[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], i8)", cache=True, nogil=True)
 def refit_all(places, count, slots, sums, normals, rule, used):
-    """Fit every block that holds one of the first `count` half cells of `places`; return how many are used."""
+    """Fit the blocks of the first `count` half cells of `places`; return how many are used."""
     normal = np.empty(5)
     for k in range(count):
         row, col = places[k, 0], places[k, 1]

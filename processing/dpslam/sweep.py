@@ -1,4 +1,4 @@
-"""What the mapper takes from one scan: rays to write, rays to weigh with, points to align with; laser frame."""
+"""What the mapper takes from one scan: rays to write and to weigh with, points to align with; laser frame."""
 
 from dataclasses import dataclass
 
@@ -27,15 +27,21 @@ class Sweeper:
         self._resampler = Resampler(ResamplingConfig(points=points), beams)
         self._range_max_m = range_max_m
 
-    def take(self, scan: Scan, motion: Motion) -> Sweep:
-        """De-skew and resample; the laser is taken to keep its velocity during the sweep.
+    @property
+    def beams(self) -> Beams:
+        """The scanner's rays."""
+        return self._resampler.beams
 
-        Raises:
-            ValueError: the scan has other beams than the first one.
-        """
-        beams = self._resampler.beams
-        if scan.beams.count != beams.count:
-            raise ValueError(f"scan of {scan.beams.count} beams, must be {beams.count} as the first scan")
+    def check(self, scan: Scan) -> None:
+        """Refuse scans of another scanner: raises ValueError."""
+        if scan.beams.count != self.beams.count:
+            raise ValueError(
+                f"scan of {scan.beams.count} beams, must be {self.beams.count} as the first scan"
+            )
+
+    def take(self, scan: Scan, motion: Motion) -> Sweep:
+        """De-skew and resample; the laser is taken to keep its velocity during the sweep."""
+        beams = self.beams
         ends, used = end_points(scan, motion.twist, range_max_m=self._range_max_m)
         vx, vy, rate = (float(v) for v in motion.twist)
         after_s = used * beams.time_increment_s

@@ -43,8 +43,8 @@ class Trail:
     def lay(self, map_t_keys: Pose) -> Pose:
         """Return map_t_laser (N, 3) of all scans.
 
-        Between two key scans the odometry gives the shape, and what it misses at the second is spread evenly over
-        the scans between; after the last key scan the odometry goes on alone.
+        Between two key scans the odometry gives the shape, and what it misses at the second is spread evenly
+        over the scans between; after the last key scan the odometry goes on alone.
 
         Args:
             map_t_keys: (K, 3) poses of the key scans.

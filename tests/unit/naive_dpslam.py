@@ -1,8 +1,9 @@
 """The mapper's naive twin: every particle owns a whole map, and a selection copies whole maps.
 
-No tiles, no sharing, no tree, no block that is kept: dense arrays, lists of poses, plain loops. What it shares with
-the real one are the numbers of the models, the sweeps and the random stream. Sums run in the same order, so that
-results can be compared bit for bit; scalar functions are those of the C library, as compiled code calls them.
+No tiles, no sharing, no tree, no block that is kept: dense arrays, lists of poses, plain loops. What it
+shares with the real one are the numbers of the models, the sweeps and the random stream. Sums run in the same
+order, so that results can be compared bit for bit; scalar functions are those of the C library, as compiled
+code calls them.
 """
 
 import math
@@ -63,7 +64,7 @@ def placed(pose, rays):
 
 
 class NaiveMap:
-    """One particle's whole map: stops, metres, and mean end points of every cell, as the store counts them."""
+    """One particle's whole map: stops, metres, mean end points of every cell, in the units of the store."""
 
     def __init__(self):
         self.cells = np.zeros((2 * HALF, 2 * HALF, 4), dtype=np.uint16)
@@ -146,7 +147,7 @@ class NaiveMap:
         return [float(np.float32(v)) for v in moments]
 
     def normal(self, row, col):
-        """Mean and inverse covariance of the NDT cell of 2 x 2 blocks from this block on; None if too empty."""
+        """Mean and inverse covariance of an NDT cell of 2 x 2 blocks; None if it holds too little."""
         n = sx = sy = sxx = sxy = syy = 0.0
         for j in range(2):
             for i in range(2):
@@ -298,9 +299,7 @@ class NaiveDpSlam:
         )
         rays = sweep.rays[:: max(1, len(sweep.rays) // c.rays)]
         seen = [placed(pose, rays) for pose in self.poses]
-        cheap = np.array(
-            [m.log_likelihood(r, 3, False) for m, r in zip(self.maps, seen, strict=True)]
-        )
+        cheap = np.array([m.log_likelihood(r, 3, False) for m, r in zip(self.maps, seen, strict=True)])
         estimate = self.log_weights + c.tempering * 3.0 * cheap
         weights = np.full(count, -1e300)
         for i in np.flatnonzero(estimate >= estimate.max() - population.NEGLIGIBLE):
@@ -322,7 +321,8 @@ class NaiveDpSlam:
         edges /= edges[-1]
         children = [0] * count
         for k in range(count):
-            children[int(np.searchsorted(edges, (uniform + k) / count, side="right"))] += 1
+            at = min((uniform + k) / count, np.nextafter(1.0, 0.0))
+            children[int(np.searchsorted(edges, at, side="right"))] += 1
         # Survivors keep their places, and the others take those of the dead, in order.
         spare = [i for i in range(count) for _ in range(children[i] - 1)]
         parents = [i if children[i] else spare.pop(0) for i in range(count)]

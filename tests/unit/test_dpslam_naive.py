@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drivers.world import Sick, room, simulate_scans
 
+from drivers.world import Sick, room, simulate_scans
 from processing import se2
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.filter import DpSlam
