@@ -22,15 +22,16 @@ class Guard:
 
     Args:
         silence_s: After so long without a beat of a moving robot the watchdog stops it.
+        deaf_s: After so long without any beat it kills the driver, which holds the port for nothing.
 
     Raises:
         DeviceError: It does not start.
     """
 
-    def __init__(self, silence_s: float = 0.2) -> None:
+    def __init__(self, silence_s: float = 0.2, deaf_s: float = 10.0) -> None:
         if not 0.05 <= silence_s <= 0.25:
             raise ValueError(f"silence_s = {silence_s}, must be in [0.05, 0.25]")
-        self._silence_s = silence_s
+        self._silence_s, self._deaf_s = silence_s, deaf_s
         self._start()
 
     def renew(self) -> None:
@@ -48,11 +49,8 @@ class Guard:
     @property
     def awake(self) -> bool:
         """Whether the watchdog lives and answers."""
-        with contextlib.suppress(BlockingIOError):
-            while self._link.recv(16):
-                self._unanswered -= 1
-                self._unanswered_since = time.monotonic()
-        asleep = self._unanswered > 0 and time.monotonic() - self._unanswered_since > _ASLEEP_S
+        self._read_answers()
+        asleep = self._owes_since is not None and time.monotonic() - self._owes_since > _ASLEEP_S
         return self._process.poll() is None and not asleep
 
     def lend(self, line: int) -> None:
@@ -65,9 +63,9 @@ class Guard:
 
     def beat(self, moving: bool) -> None:
         """Say that the driver is alive, and whether the robot may be moving."""
-        if self._unanswered == 0:
-            self._unanswered_since = time.monotonic()
-        self._unanswered += 1
+        self._read_answers()
+        if self._owes_since is None:
+            self._owes_since = time.monotonic()
         self._send(b"M" if moving else b"S")
 
     def close(self) -> None:
@@ -87,6 +85,12 @@ class Guard:
     ) -> None:
         self.close()
 
+    def _read_answers(self) -> None:
+        # Any answer pays all debts: some get lost when nobody reads them for a while.
+        with contextlib.suppress(OSError):
+            while self._link.recv(16):
+                self._owes_since = None
+
     def _send(self, message: bytes, line: int | None = None) -> None:
         # A watchdog that does not take its mail shows itself in `awake`.
         with contextlib.suppress(OSError):
@@ -97,9 +101,10 @@ class Guard:
         self._link.setblocking(False)
         # Isolated and without site: it must start on its own, and in no time.
         command = [sys.executable, "-I", "-S", str(Path(watchdog.__file__))]
+        silences_ms = [str(round(seconds * 1000)) for seconds in (self._silence_s, self._deaf_s)]
         with theirs:
             self._process = subprocess.Popen(
-                [*command, str(theirs.fileno()), str(round(self._silence_s * 1000))],
+                [*command, str(theirs.fileno()), *silences_ms],
                 pass_fds=(theirs.fileno(),),
                 start_new_session=True,
                 stdin=subprocess.DEVNULL,
@@ -107,5 +112,4 @@ class Guard:
         ready, _, _ = select.select([self._link], [], [], _START_S)
         if not ready or not self._link.recv(16):
             raise DeviceError(f"the watchdog did not start within {_START_S:g} s")
-        self._unanswered = 0
-        self._unanswered_since = 0.0
+        self._owes_since: float | None = None

@@ -4,6 +4,9 @@ Started by `guard.Guard` as a script of its own, with nothing but the standard l
 so that neither a signal to the driver's group nor an import that fails can take it along.  It holds a copy of
 the line's descriptor, and says nothing on it as long as the driver beats.
 
+A driver that is silent for much longer is killed: as long as it hangs it holds the port, and nobody else can
+drive the robot either.
+
 The link is a socket: `L` with a descriptor hands over a line, `R` takes it back, `M` and `S` are beats of a
 driver that may move the robot and of one that does not.  Every beat is answered with one byte.  End of file
 means that the driver is dead.
@@ -25,8 +28,9 @@ _AGAIN_S = 0.1
 _LAST_WORDS = 3
 
 
-def watch(link: socket.socket, silence_s: float) -> None:
+def watch(link: socket.socket, silence_s: float, deaf_s: float) -> None:
     """Watch the driver at the other end of the link until it is gone, then stop the robot that it left."""
+    driver = os.getppid()
     line = -1
     moving = False
     heard = stopped = time.monotonic()
@@ -50,6 +54,9 @@ def watch(link: socket.socket, silence_s: float) -> None:
             if moving and line >= 0 and now - heard > silence_s and now - stopped > _AGAIN_S:
                 stopped = now
                 stop(line)
+            if now - heard > deaf_s and os.getppid() == driver:
+                stop(line)
+                os.kill(driver, signal.SIGKILL)
     finally:
         _bury(line)
 
@@ -98,14 +105,14 @@ def _bury(line: int) -> None:
 
 
 def main() -> None:
-    """Run with the link's descriptor and the tolerated silence in ms as arguments."""
+    """Run with the link's descriptor and two tolerated silences in ms: until a stop, until a kill."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)
     with contextlib.suppress(OSError):  # only where the user may
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
     with socket.socket(fileno=int(sys.argv[1])) as link:
         link.setblocking(False)
-        watch(link, int(sys.argv[2]) / 1000)
+        watch(link, int(sys.argv[2]) / 1000, int(sys.argv[3]) / 1000)
 
 
 if __name__ == "__main__":

@@ -81,7 +81,7 @@ class _Base:
     def __init__(self, port: Port, config: Config, guard: Guard) -> None:
         self._port, self._guard = port, guard
         device = config.device(os.path.join(port.run_dir, config.path))
-        self._create = Create(device, self._open_line, lambda: port.stopping or self._orphaned())
+        self._create = Create(device, self._open_line, self._ending)
         self._safety = Safety(config.safety, device.wheel_base_m)
         self._inputs: Subscription = port.subscribe("cmd_vel", keep=64)
         self._parent = os.getppid()
@@ -118,6 +118,11 @@ class _Base:
     def _orphaned(self) -> bool:
         return os.getppid() != self._parent
 
+    def _ending(self) -> bool:
+        """Whether to leave; asked several times a second by everything that waits."""
+        self._guard.beat(False)
+        return self._port.stopping or self._orphaned()
+
     def _connect(self) -> None:
         self._guard.take_back()  # it holds the lock of the port as long as it holds the line
         self._create.connect()
@@ -146,7 +151,7 @@ class _Base:
         wait_s = _BACK_OFF_S[min(self._failures, len(_BACK_OFF_S) - 1)]
         self._failures += 1
         end_ns = self._port.clock.now_ns() + round(wait_s * 1e9)
-        while not self._port.stopping and self._port.clock.now_ns() < end_ns and not self._orphaned():
+        while not self._ending() and self._port.clock.now_ns() < end_ns:
             if (received := self._inputs.wait(0.1)) is not None:
                 self._hear(received)
 

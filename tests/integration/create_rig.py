@@ -150,7 +150,7 @@ class Rig:
             assert self.values["reason"] in LOADED, self.values["reason"]
         raise AssertionError(f"five times {self.values['reason']!r} instead of {reason!r}")
 
-    def only_zeros_since(self, fault_ns, seconds=1.0):
+    def only_zeros_since(self, fault_ns, seconds=0.4):
         """Wait for zeros on the wire, and then that nothing else comes; return ms from fault to zeros."""
         wait(lambda: any(w == (0, 0) for _, w in self.emulator.drives(fault_ns)), what="zeros on the wire")
         time.sleep(0.1)  # what was under way may still come

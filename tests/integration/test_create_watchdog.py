@@ -162,13 +162,13 @@ def test_an_unplugged_line_does_not_end_it(robot):
         robot.hang_up()
         time.sleep(0.5)  # it tries, and fails, to speak
         guard.beat(True)
-        wait(lambda: guard.awake and guard._unanswered == 0, what="an answer")
+        wait(lambda: guard.awake and guard._owes_since is None, what="an answer")
 
 
 def test_a_dead_watchdog_is_noticed_at_once_and_a_hung_one_soon():
     with Guard() as guard:
         guard.beat(False)
-        wait(lambda: guard._unanswered == 0 or not guard.awake, what="an answer")
+        wait(lambda: guard.awake and guard._owes_since is None, what="an answer")
         os.kill(guard.pid, signal.SIGSTOP)
         began = time.monotonic()
         while guard.awake:
@@ -181,7 +181,37 @@ def test_a_dead_watchdog_is_noticed_at_once_and_a_hung_one_soon():
         wait(lambda: not guard.awake, what="the notice")
         guard.renew()
         guard.beat(False)
-        wait(lambda: guard.awake and guard._unanswered == 0, what="an answer")
+        wait(lambda: guard.awake and guard._owes_since is None, what="an answer")
+
+
+def test_a_driver_that_hangs_for_long_is_killed_so_that_another_can_drive(robot):
+    program = DRIVER.replace("Guard() as guard", "Guard(deaf_s=0.6) as guard")
+    command = [sys.executable, "-c", textwrap.dedent(program), robot.port, "whole"]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        process.stdout.readline()
+        wait(lambda: robot.wheels_mmps == (200, 200), what="turning wheels")
+        time.sleep(0.8)
+        assert process.poll() is None  # it beats
+        process.send_signal(signal.SIGSTOP)
+        assert process.wait(5) == -signal.SIGKILL
+    wait(lambda: robot.mode is Mode.PASSIVE, what="Passive mode")
+
+    def free():
+        try:
+            SerialStream(robot.port, 57600).close()
+        except PortBusyError:
+            return False
+        return True
+
+    wait(free, what="the port")
+
+
+def test_answers_that_nobody_reads_are_no_sign_of_sleep():
+    with Guard() as guard:
+        for _ in range(2000):  # more than fit into the link
+            guard._send(b"S")
+        guard.beat(False)
+        wait(lambda: guard.awake and guard._owes_since is None, what="an answer")
 
 
 @pytest.mark.parametrize("silence_s", [0.0, 0.3])
