@@ -32,6 +32,7 @@ class Guard:
         if not 0.05 <= silence_s <= 0.25:
             raise ValueError(f"silence_s = {silence_s}, must be in [0.05, 0.25]")
         self._silence_s, self._deaf_s = silence_s, deaf_s
+        self._owes_since: float | None = None
         self._start()
 
     def renew(self) -> None:
@@ -112,4 +113,4 @@ class Guard:
         ready, _, _ = select.select([self._link], [], [], _START_S)
         if not ready or not self._link.recv(16):
             raise DeviceError(f"the watchdog did not start within {_START_S:g} s")
-        self._owes_since: float | None = None
+        self._owes_since = None
