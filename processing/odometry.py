@@ -98,11 +98,19 @@ class LaserOdometry:
         self._reference = Ndt(config.ndt)
         self._keys: list[_KeyScan] = []
 
-    def step(self, scan: Scan) -> Match:
-        """Match the next scan; raises ValueError if it has other beams than the first."""
+    def step(self, scan: Scan, missed: int = 0) -> Match:
+        """Match the next scan.
+
+        Args:
+            scan: What the laser sees now.
+            missed: How many scans before this one never came; stamps jitter and do not tell.
+
+        Raises:
+            ValueError: it has other beams than the first.
+        """
         resampler, middle_s = self._prepare(scan)
         first = not self._keys
-        prior = None if first else self._filter.advance(scan.beams.period_s)
+        prior = None if first else self._filter.advance((1 + missed) * scan.beams.period_s)
         twist = self._filter.twist if self.config.deskew else np.zeros(3)
         resampler.points(scan, twist, middle_s)
         points = resampler.means()

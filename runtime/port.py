@@ -119,6 +119,7 @@ class _ListSubscription:
             return None
         self._port.idle_waits = 0
         self.received += 1
+        self._port.sequences[self.topic] = self._port.sequences.get(self.topic, 0) + 1
         message = self._port.inputs[self.topic].pop(0)
         payload = b""
         if self._raw:
@@ -126,7 +127,7 @@ class _ListSubscription:
 
             payload, message = encode(message), None
         now_ns = self._port.clock.now_ns()
-        return Received(self.topic, message, self.received, now_ns, now_ns, payload)
+        return Received(self.topic, message, self._port.sequences[self.topic], now_ns, now_ns, payload)
 
     def drain(self) -> list[Received]:
         """See Subscription.drain."""
@@ -147,6 +148,7 @@ class ListPort:
         run_dir: Path = Path(),
         results_dir: Path | None = None,
         stop_after: int | None = None,
+        sequences: dict[str, int] | None = None,
     ) -> None:
         self._stop_after = stop_after
         self.robot, self.seed = robot, seed
@@ -162,6 +164,8 @@ class ListPort:
         self.counters: dict[str, int] = {}
         self.is_ready = False
         self.idle_waits = 0
+        self.sequences = dict(sequences or {})
+        """Number of the last message of each topic; given, the next one follows it."""
 
     @property
     def stopping(self) -> bool:

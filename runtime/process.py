@@ -73,10 +73,13 @@ def _run(args: argparse.Namespace, log: logging.Logger) -> int:
     robot = args.robot or loaded.robot
     refuse_unknown([args.name], list(loaded.nodes), f"{args.graph}: nodes")
     spec = loaded.nodes[args.name]
-    realtime.schedule(log, priority=spec.priority, nice=spec.nice, cores=spec.cores)
+    aside = args.spare and realtime.step_aside()
     resolved = graph.resolve(args.name, spec, str(args.graph), args.run_dir)
     if args.spare and not sys.stdin.readline():
         return 0  # nobody needs it any more
+    if aside:
+        realtime.step_forward()
+    realtime.schedule(log, priority=spec.priority, nice=spec.nice, cores=spec.cores)
 
     def open_bus() -> Bus:
         from runtime.bus_zenoh import ZenohBus

@@ -8,11 +8,13 @@ import ctypes
 import gc
 import logging
 import os
+import resource
 import signal
 import sys
 from collections.abc import Sequence
 
 _PR_SET_PDEATHSIG = 1
+_RLIMIT_OF_NICE_0 = 20
 _SWITCH_S = 0.001
 """How long one thread may hold the interpreter while another waits; a message should not wait for 5 ms."""
 
@@ -60,6 +62,23 @@ def schedule(log: logging.Logger, *, priority: int = 0, nice: int = 0, cores: Se
             refused.append(f"cores {list(cores)} ({error})")
     if refused:
         log.warning("the kernel refuses %s; running without", ", ".join(refused))
+
+
+def step_aside() -> bool:
+    """Run only when nobody else wants to, if it can be taken back; return whether."""
+    # Without this right the kernel lets a process lower itself and never rise again.
+    if os.geteuid() != 0 and resource.getrlimit(resource.RLIMIT_NICE)[0] < _RLIMIT_OF_NICE_0:
+        return False
+    try:
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    except OSError:
+        return False
+    return True
+
+
+def step_forward() -> None:
+    """Run like everybody again."""
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def settle() -> None:

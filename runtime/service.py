@@ -41,6 +41,7 @@ KillSignal=SIGTERM
 TimeoutStartSec=180
 TimeoutStopSec=30
 LimitRTPRIO=50
+LimitNICE=+0
 LimitMEMLOCK=infinity
 
 [Install]

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _TURN_S = 0.05
 _NOTIFY_S = 0.5
+_PATIENCE_S = 8.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -131,11 +132,17 @@ def _check(file: Path, headless: bool) -> dict[str, Any]:
     if headless:
         command.append("--headless")
     environment = child_environment(Clock())
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
-    if done.returncode == 0:
-        return dict(json.loads(done.stdout))
-    lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
-    if done.returncode == ConfigError.exit_code:
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=environment) as check:
+        try:
+            out, err = check.communicate(timeout=_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            print("checking, and compiling what was never compiled on this machine ...", file=sys.stderr)
+            out, err = check.communicate()
+    if check.returncode == 0:
+        return dict(json.loads(out))
+    lines = err.strip().splitlines() or [f"exit code {check.returncode}"]
+    if check.returncode == ConfigError.exit_code:
         raise ConfigError(lines[-1])
     raise HallwayError(f"{file}: the check failed: {lines[-1]}")
 
@@ -203,12 +210,14 @@ def _resolved_config(graph: "Graph", resolved: dict[str, Any]) -> dict[str, Any]
 def _save(
     live: "Run", config: dict[str, Any], out: Path, args: argparse.Namespace, code: int
 ) -> dict[str, Any]:
+    from runtime.report_folder import report_on
     from runtime.results import link_latest, provenance
     from runtime.run import collect
 
     about = {**provenance(live.graph.seed), "graph": args.graph, **live.summary(), "exit_code": code}
     about["events"] = [f"{e.stamp_ns} {e.node}: {e.text}" for e in live.events]
     metrics = collect(out, list(live.graph.nodes), about, config)
+    report_on(out, f"{live.graph.robot}, {args.graph}")
     if args.out is None:
         link_latest(out)
     failed = live.supervisor.failed

@@ -8,14 +8,19 @@ from numpy.typing import NDArray
 from processing.odometry import LaserOdometry, Match, OdometryConfig, Tracking
 from processing.scan import Beams, Scan
 from runtime import messages
+from runtime.checkpoint import Checkpoint
 from runtime.messages import BadMessageError
 from runtime.nodes.convert import motion_to_message, scan_from_message, transform_to_message
-from runtime.port import Level, Port
+from runtime.port import Level, Port, Received
 
 SUBSCRIBES: tuple[str, ...] = ("scan",)
 PUBLISHES: tuple[str, ...] = ("odom", "match_points", "tf")
 
 _WAIT_S = 0.1
+MISSED_MAX = 50
+"""After five seconds without a scan the last velocity tells nothing more."""
+CHECKPOINT_NS = 500_000_000
+"""So much at most is forgotten when the process is killed; the next one has its local map and its frame."""
 _LEVELS: dict[Tracking, Level] = {
     Tracking.TRACKING: "ok",
     Tracking.DEGENERATE: "warn",
@@ -33,7 +38,12 @@ class Config:
 def run(port: Port, config: Config) -> int:
     """Answer every scan with a motion until the port stops."""
     warm_up(config.odometry)
-    odometry = LaserOdometry(config.odometry, port.seed)
+    checkpoint = Checkpoint(port.run_dir / "matcher.checkpoint", CHECKPOINT_NS, (config, port.seed))
+    kept = checkpoint.read()
+    if kept is not None:
+        port.count("resumptions")
+        port.log.warning("goes on where the process before it was killed")
+    odometry, counted = kept or (LaserOdometry(config.odometry, port.seed), _Counted())
     scans = port.subscribe("scan")
     port.ready()
     while not port.stopping:
@@ -42,13 +52,34 @@ def run(port: Port, config: Config) -> int:
             continue
         try:
             scan = scan_from_message(received.message)
-            match = odometry.step(scan)
+            match = odometry.step(scan, counted.missed(received, scan))
         except (BadMessageError, ValueError) as error:
             port.count("refused_scans")
             port.report("error", f"scan refused: {error}")
             continue
         publish(port, match)
+        # After the answer is out: nobody waits for this.
+        if checkpoint.due(scan.stamp_ns) and not checkpoint.write(scan.stamp_ns, (odometry, counted)):
+            port.count("checkpoints_failed")
     return 0
+
+
+class _Counted:
+    """Knows how many scans never came here: by the laser's numbers, or by the stamps when it began anew."""
+
+    def __init__(self) -> None:
+        self._gid, self._sequence, self._stamp_ns = b"", -1, 0
+
+    def missed(self, received: Received, scan: Scan) -> int:
+        """Return how many are missing before this one."""
+        if self._stamp_ns == 0:
+            missed = 0
+        elif received.gid == self._gid and received.sequence > self._sequence >= 0:
+            missed = received.sequence - self._sequence - 1
+        else:
+            missed = round((scan.stamp_ns - self._stamp_ns) / (scan.beams.period_s * 1e9)) - 1
+        self._gid, self._sequence, self._stamp_ns = received.gid, received.sequence, scan.stamp_ns
+        return min(max(missed, 0), MISSED_MAX)
 
 
 def publish(port: Port, match: Match) -> None:
