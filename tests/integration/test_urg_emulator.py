@@ -73,7 +73,7 @@ def test_a_stream_is_acknowledged_and_its_scans_follow_with_every_revolution(idl
     assert all(isinstance(scan, ScanReply) for scan in scans)
     first_ns = emulator.sweeps[0][1]
     assert scans[0].at_ns - before_ns > 190e6  # one revolution to start the laser, one to measure
-    assert before_ns < first_ns < after_ns + 240e6
+    assert before_ns + 97e6 < first_ns < after_ns + 240e6
     steps = np.diff([scan.stamp_ms for scan in scans])
     assert set(steps) <= {99, 100}
 
@@ -133,7 +133,7 @@ def test_without_the_mirror_answers_come_at_once():
             host.send(b"QT")
             assert len(host.collect(1)) == 1
         host.stream.close()
-        assert emulator.now_ns() - began_ns < 20 * PERIOD_NS
+        assert emulator.now_ns() - began_ns < 10 * PERIOD_NS
 
 
 def test_on_rs_232_bytes_take_their_time():
@@ -181,6 +181,29 @@ def test_scans_that_nobody_reads_are_dropped_whole_when_the_terminal_is_full():
         host.stream.close()
     assert scans[-1].stamp_ms > opened_ms
     assert host.decoder.damaged.total() <= 1  # the one that opening cut in two
+
+
+def test_held_up_it_sends_late_what_it_has_seen_and_leaves_nothing_out():
+    with Emulator(mode=Mode.STREAMING) as emulator:
+        host = Host(emulator)
+        scans = host.collect(2)
+        with emulator._lock:
+            time.sleep(0.45)
+        scans += host.collect(6)
+        host.stream.close()
+        assert emulator.dropped == 0
+    assert set(np.diff([scan.stamp_ms for scan in scans])) <= {99, 100}
+
+
+def test_a_clock_of_its_own_waits_for_a_sensor_that_is_held_up():
+    with Emulator(mode=Mode.STREAMING, speed=4.0) as emulator:
+        with emulator._lock:
+            began_ns = emulator.now_ns()
+            time.sleep(0.25)  # a second of this clock
+            stood_ns = emulator.now_ns()
+        assert stood_ns - began_ns < PERIOD_NS
+        emulator.sleep(1.0)
+        assert emulator.now_ns() - stood_ns >= 1e9
 
 
 def test_two_commands_in_one_write_and_a_carriage_return_are_two_commands(idle):
