@@ -1,0 +1,137 @@
+"""Plain twins of the compiled loops of the laser odometry: slow, and nothing shared with them."""
+
+import numpy as np
+
+MASK = 2**64 - 1
+
+
+class Random:
+    """SplitMix64 in whole numbers."""
+
+    def __init__(self, seed):
+        self.state = seed
+
+    def uniform(self):
+        self.state = (self.state + 0x9E3779B97F4A7C15) & MASK
+        z = self.state
+        z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & MASK
+        z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & MASK
+        return ((z ^ (z >> 31)) >> 11) / 2**53
+
+    def below(self, count):
+        return int(self.uniform() * count)
+
+    def other_than(self, taken, count):
+        while (drawn := self.below(count)) in taken:
+            pass
+        return drawn
+
+
+def scatter(size, bounds, random):
+    """Latin hypercube: each axis gets one member in each of its slices, in an order of its own."""
+    columns = []
+    for low, high in bounds.T:
+        column = [low + (i + random.uniform()) * ((high - low) / size) for i in range(size)]
+        for i in range(size - 1, 0, -1):
+            j = random.below(i + 1)
+            column[i], column[j] = column[j], column[i]
+        columns.append(column)
+    return np.array(columns).T
+
+
+def propose(population, i, bounds, factor, crossover, random):
+    """DE/rand/1/bin: three members, each other than the rest and than i; a value outside bounces back."""
+    size, dimensions = population.shape
+    a = random.other_than({i}, size)
+    b = random.other_than({i, a}, size)
+    c = random.other_than({i, a, b}, size)
+    mutant = population[a] + factor * (population[b] - population[c])
+    forced = random.below(dimensions)
+    trial = population[i].copy()
+    for d in range(dimensions):
+        if random.uniform() < crossover or d == forced:
+            low, high, base = bounds[0, d], bounds[1, d], population[a, d]
+            trial[d] = mutant[d]
+            if mutant[d] < low:
+                trial[d] = low + random.uniform() * (base - low)
+            elif mutant[d] > high:
+                trial[d] = high - random.uniform() * (high - base)
+    return trial
+
+
+def evolve(objective, bounds, config, seed):
+    """The whole search without early ends: members (NP, D) and their values after all generations."""
+    random = Random(seed)
+    population = scatter(config.population, bounds, random)
+    values = np.array([objective(member) for member in population])
+    for _ in range(config.generations):
+        trials = [
+            propose(population, i, bounds, config.factor, config.crossover, random)
+            for i in range(config.population)
+        ]
+        for i, trial in enumerate(trials):
+            if objective(trial) >= values[i]:
+                population[i], values[i] = trial, objective(trial)
+    return population, values
+
+
+class Ndt:
+    """Four grids of cells, each shifted by half a cell; cells of a grid are numbered from its own corner."""
+
+    SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))
+
+    def __init__(self, points, config):
+        self.config = config
+        self.cells = []
+        for shift in self.SHIFTS:
+            members = {}
+            for point, place in zip(points, self._places(points, shift), strict=True):
+                members.setdefault(place, []).append(point)
+            self.cells.append(
+                {
+                    place: self._normal(np.array(own))
+                    for place, own in members.items()
+                    if len(own) >= config.min_points
+                }
+            )
+
+    def _places(self, points, shift):
+        return [tuple(np.floor(point / self.config.cell_m - shift).astype(int)) for point in points]
+
+    def _normal(self, points):
+        c = self.config
+        small, large = np.linalg.eigh(np.cov(points.T, bias=True))[0]
+        vectors = np.linalg.eigh(np.cov(points.T, bias=True))[1]
+        large = max(large, c.min_deviation_m**2)
+        small = max(small, c.min_deviation_m**2, c.min_ratio * large)
+        if small < c.flat_ratio * large:
+            large *= c.flat_stretch
+        return points.mean(axis=0), vectors @ np.diag((small, large)) @ vectors.T
+
+    def score(self, points, pose, blur_m2=0.0, weighed_at=None):
+        """Sum of the weighted means of four densities; the weights may be those of another pose."""
+        weighed_at = pose if weighed_at is None else weighed_at
+        return sum(
+            self.point_score(moved, blur_m2, weighed)
+            for moved, weighed in zip(_moved(points, pose), _moved(points, weighed_at), strict=True)
+        )
+
+    def point_score(self, point, blur_m2=0.0, weighed=None):
+        weighed = point if weighed is None else weighed
+        total = weights = 0.0
+        for shift, cells in zip(self.SHIFTS, self.cells, strict=True):
+            place = self._places([weighed], shift)[0]
+            if place not in cells:
+                continue
+            mean, covariance = cells[place]
+            middle = (np.array(place) + shift + 0.5) * self.config.cell_m
+            weight = np.prod(1.0 - np.abs(weighed - middle) / (0.5 * self.config.cell_m))
+            off = point - mean
+            total += weight * np.exp(-0.5 * off @ np.linalg.inv(covariance + blur_m2 * np.eye(2)) @ off)
+            weights += weight
+        return total / weights if weights > 1e-9 else 0.0
+
+
+def _moved(points, pose):
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return [np.array((c * x - s * y + pose[0], s * x + c * y + pose[1])) for x, y in points]
