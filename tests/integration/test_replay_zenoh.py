@@ -73,7 +73,8 @@ def test_what_is_replayed_is_recorded_byte_for_byte(desk, recording, tmp_path):
     scans = [m for m in messages if m.channel.topic == "/ghost/scan"]
     assert [m.payload for m in scans] == [payload(n) for n in range(1, 41)]
     arrivals = np.array([m.log_ns for m in scans]) / 1e9
-    assert arrivals[-1] - arrivals[0] == pytest.approx(39 * 0.05, abs=0.5)
+    # Neither all at once nor at half the rate; on a busy machine some are late.
+    assert 0.5 < (arrivals[-1] - arrivals[0]) / (39 * 0.05) < 1.95
     assert not any(m.channel.name == "cmd_vel" for m in messages)
 
 
