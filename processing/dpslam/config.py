@@ -9,7 +9,7 @@ from processing.dpslam.loops import LoopConfig
 class DpSlamConfig:
     """DP-SLAM: how many maps it keeps, when it updates them, and how much it trusts what."""
 
-    particles: int = 100
+    particles: int = 50
     """Maps kept at once, 1 .. 5000."""
     key_distance_m: float = 0.25
     """A scan is worked into the maps after so much way, 0.02 .. 2, or"""
