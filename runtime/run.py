@@ -17,6 +17,7 @@ from runtime.clock import Clock
 from runtime.graph import Graph
 from runtime.health import Health, Vital
 from runtime.node import BusPort
+from runtime.offset import tell_time
 from runtime.process import LogFormat
 from runtime.status import SUPERVISOR, Status, status_of
 from runtime.supervisor import HUB, SILENT_S, Event, Supervisor, commands
@@ -138,6 +139,7 @@ class Run:
             SUPERVISOR, lambda: bus, robot=self.graph.robot, domain=self.graph.domain, clock=self.clock
         )
         self._health = Health(bus, self.graph.robot, self.graph.domain)
+        tell_time(bus, self.graph.robot, self.clock)
         self._port.ready()
 
     def _report(self, port: BusPort) -> None:

@@ -21,7 +21,9 @@ def run(args: argparse.Namespace) -> int:
     from runtime import gate, rundir
     from runtime.bus_zenoh import ZenohBus
     from runtime.cli.screen import Screen
+    from runtime.clock import Clock
     from runtime.health import Health
+    from runtime.offset import measured
     from runtime.status import status_of
 
     with ZenohBus(gate.visit(args.robot)) as bus:
@@ -30,10 +32,13 @@ def run(args: argparse.Namespace) -> int:
         if args.once:
             time.sleep(_LISTEN_S)
             status = status_of(args.robot, health.vitals())
+            offset = measured(bus, args.robot, Clock())
             if args.json:
-                print(json.dumps(status.to_json()))
+                own = {"clock_offset_ns": offset.offset_ns if offset else None}
+                print(json.dumps({**status.to_json(), **own}))
             else:
                 _print(status)
+                print(f"clock of the robot minus ours: {offset or 'not told'}")
             well = all(line.level == "ok" for line in status.processes)
             return 0 if well and status.processes else 1
         with Screen(quiet=args.json) as screen:

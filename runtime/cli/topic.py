@@ -48,6 +48,7 @@ def _follow(bus: Any, args: argparse.Namespace) -> int:
     from runtime.clock import Clock
     from runtime.inbox import Inbox
     from runtime.latency import Histogram
+    from runtime.offset import measured
     from runtime.topics import ALL, topic
 
     row = topic(args.topic.strip("/").removeprefix(f"{args.robot}/"))
@@ -55,6 +56,9 @@ def _follow(bus: Any, args: argparse.Namespace) -> int:
     inbox = Inbox(row, clock, lambda: False, keep=ALL, raw=args.action != "echo")
     key = messages.topic_key(f"{args.robot}/{row.name}", row.type, args.domain)
     bus.subscribe(key, inbox.mailbox.put, latched=row.latched)
+    offset = measured(bus, args.robot, clock) if args.action == "delay" else None
+    if offset is not None:
+        print(f"clock of {args.robot}: {offset}", flush=True)
     began = said = time.monotonic()
     seen, delays = 0, Histogram()
     first_s = last_s = 0.0
@@ -69,7 +73,8 @@ def _follow(bus: Any, args: argparse.Namespace) -> int:
             if args.action == "echo":
                 print(f"{received.message}\n---", flush=True)
             elif (stamp_ns := messages.peek_stamp_ns(received.payload)) is not None:
-                delays.add((received.received_ns - stamp_ns) / 1e6)
+                now_ns = received.received_ns + (offset.offset_ns if offset else 0)
+                delays.add((now_ns - stamp_ns) / 1e6)
         if args.action != "echo" and time.monotonic() - said > 1.0:
             said = time.monotonic()
             _measured(args.action, seen, last_s - first_s, delays, inbox.missed)

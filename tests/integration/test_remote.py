@@ -24,7 +24,9 @@ ROBOT_SIDE = """
     from runtime import links
     from runtime.bus import Mailbox
     from runtime.bus_zenoh import ZenohBus
+    from runtime.clock import Clock
     from runtime.node import BusPort
+    from runtime.offset import tell_time
     from runtime.topics import topic
     run_dir, address = Path(sys.argv[1]), sys.argv[2]
     hub = [sys.executable, "-m", "runtime.hub", "--run-dir", str(run_dir), "--remote", f"{address}:7448"]
@@ -36,7 +38,8 @@ ROBOT_SIDE = """
         with BusPort("base", lambda: peer, subscribes=("cmd_vel",), publishes=("scan", "map")) as port:
             commands = port.subscribe("cmd_vel", keep=256, raw=True)
             port.ready()
-            secret = peer.publisher("0/other/secret")
+            tell_time(peer, "robot", Clock())
+        secret = peer.publisher("0/other/secret")
             port.publish_raw("map", bytes(1_000_000))
             stop = threading.Event()
             threading.Thread(target=lambda: (sys.stdin.readline(), stop.set()), daemon=True).start()
@@ -52,6 +55,8 @@ GUEST_SIDE = """
     from runtime import gate, keys, messages
     from runtime.bus import Mailbox, wait_matching
     from runtime.bus_zenoh import BusError, ZenohBus
+    from runtime.clock import Clock
+    from runtime.offset import measured
     from runtime.topics import topic
     def key(name): return messages.topic_key(f"robot/{name}", topic(name).type)
     config = gate.visit("robot")
@@ -74,11 +79,12 @@ GUEST_SIDE = """
         for sequence in range(1, 21):
             stick.put(bytes(60), messages.Attachment(sequence, 0, bytes(16)).encode())
             time.sleep(0.1)
+        offset = measured(bus, "robot", Clock())
         nodes = [messages.node_of_token(t) for t in bus.tokens("@ros2_lv/0/**")]
         print(json.dumps({
             "refused": "", "scans": boxes["scan"].received, "secrets": boxes["secret"].received,
             "map_bytes": max((len(bytes(a.payload)) for a in boxes["map"].take_all()), default=0),
-            "nodes": [n for n in nodes if n],
+            "nodes": [n for n in nodes if n], "offset_ms": offset and offset.offset_ns / 1e6,
         }))
 """
 
@@ -203,6 +209,7 @@ def test_a_viewer_sees_everything_of_its_robot_and_drives_nothing(robot):
         assert seen["map_bytes"] == 1_000_000
         assert seen["nodes"] == ["base"]
         assert seen["secrets"] == 0
+        assert abs(seen["offset_ms"]) < 50  # one machine, two clocks of it
         assert robot.commands() == 0
 
 
@@ -236,7 +243,7 @@ def test_who_was_struck_off_the_list_sees_and_moves_nothing(robot, tmp_path, mon
     keys.revoke("robot", "olga")
     with robot:
         seen = robot.guest("olga")
-        assert (seen["scans"], seen["map_bytes"], seen["nodes"]) == (0, 0, [])
+        assert (seen["scans"], seen["map_bytes"], seen["nodes"], seen["offset_ms"]) == (0, 0, [], None)
         assert robot.guest("anna")["scans"] > 50
         assert robot.commands() == 0
 
