@@ -93,8 +93,8 @@ def _tables(numbers: dict[str, dict[str, dict[str, float]]]) -> str:
         "## Each building\n",
         _table({name: rows[stages.WHOLE] for name, rows in numbers.items()}, "building"),
         "## What each stage is worth\n",
-        "Means over the buildings in which every direction is seen; lost and unseen are sums. In a bare corridor"
-        " no laser knows how far it went, and what counts there is that it says so: see the table above.\n",
+        "Means over the buildings in which every direction is seen; lost and unseen are sums. In a bare"
+        " corridor no laser knows how far it went; what counts is that it says so: see the table above.\n",
         _table(means, "pipeline"),
     ]
     return "\n".join(parts)
