@@ -39,7 +39,7 @@ ROBOT_SIDE = """
             commands = port.subscribe("cmd_vel", keep=256, raw=True)
             port.ready()
             tell_time(peer, "robot", Clock())
-        secret = peer.publisher("0/other/secret")
+            secret = peer.publisher("0/other/secret")
             port.publish_raw("map", bytes(1_000_000))
             stop = threading.Event()
             threading.Thread(target=lambda: (sys.stdin.readline(), stop.set()), daemon=True).start()
