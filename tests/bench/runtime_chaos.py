@@ -68,10 +68,14 @@ def rage(run_dir, args):
         while not set(names) <= health.ready() or not poses.received:
             assert time.monotonic() < end, f"only {health.ready()} are ready"
             time.sleep(0.05)
-        for number in range(args.blows):
+        while (number := len(blows)) < args.blows:
             name, blow = rng.choice((*names, "hub")), rng.choice((signal.SIGKILL, signal.SIGSTOP))
             old = pid_of(health, run_dir, name)
-            os.kill(old, blow)
+            try:
+                os.kill(old, blow)
+            except ProcessLookupError:  # down already, by a blow to another
+                time.sleep(0.5)
+                continue
             back_s = until_back(health, run_dir, name, old, time.monotonic())
             blows.append((name, blow.name, back_s))
             told = "not back" if back_s is None else f"{back_s:.2f} s"
