@@ -19,7 +19,7 @@ from runtime.graph import NodeSpec
 from runtime.spare import Spare, is_stopped
 
 _BACKOFF_S = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
-_STEADY_S = 15.0  # after so long without failure, an old failure is forgotten
+_STEADY_S = 5.0  # after so long without failure, an old failure is forgotten
 _LOOP_FAILURES = 6  # so many failures without a steady time in between: a crash loop
 _SPARE_AFTER_S = 3.0
 _LOG_BYTES = 2_000_000
