@@ -1,1 +1,1 @@
-"""Laser ranges in, motions and maps out: scan matching and DP-SLAM, as pure functions of arrays and stamps."""
+"""Laser ranges in, motions and maps out: matching and DP-SLAM, as pure functions of arrays and stamps."""
