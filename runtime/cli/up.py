@@ -151,11 +151,15 @@ def _empty(out: Path) -> None:
     """Make the folder of the results; an older one of that name is kept beside it."""
     import shutil
 
+    from runtime.results import RUN_FILE, to_json
+
     if out.is_dir() and any(out.iterdir()):
         old = out.with_name(f"{out.name}.old")
         shutil.rmtree(old, ignore_errors=True)
         out.replace(old)
     out.mkdir(parents=True, exist_ok=True)
+    # A run that is cut off leaves a folder that says so, and may be replaced.
+    (out / RUN_FILE).write_text(to_json({"finished": False}), encoding="utf-8")
 
 
 def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
@@ -214,7 +218,13 @@ def _save(
     from runtime.results import link_latest, provenance
     from runtime.run import collect
 
-    about = {**provenance(live.graph.seed), "graph": args.graph, **live.summary(), "exit_code": code}
+    about = {
+        **provenance(live.graph.seed),
+        "graph": args.graph,
+        **live.summary(),
+        "exit_code": code,
+        "finished": True,
+    }
     about["events"] = [f"{e.stamp_ns} {e.node}: {e.text}" for e in live.events]
     metrics = collect(out, list(live.graph.nodes), about, config)
     report_on(out, f"{live.graph.robot}, {args.graph}")

@@ -199,6 +199,10 @@ def test_a_supervisor_that_is_killed_leaves_nobody_behind(desk):
     while desk.left() and time.monotonic() < end:
         time.sleep(0.05)
     assert desk.left() == []
+    assert json.loads((desk.folder / "res" / "run.json").read_text()) == {"finished": False}
+    code, _, err = desk.hallway("up", "g.yaml", "--out", "res", "--duration", "0.5")
+    assert (code, err) == (0, "")
+    assert json.loads((desk.folder / "res" / "run.json").read_text())["finished"]
 
 
 def test_a_process_that_is_killed_comes_back_and_the_run_goes_on(desk):
