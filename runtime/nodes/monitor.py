@@ -41,6 +41,7 @@ def run(port: Port, config: Config) -> int:
     size = ""
     port.ready()
     due = time.monotonic()
+    values: dict[str, str] = {}
     while not port.stopping:
         arrived: list[Received] = []
         if (first := inboxes["scan"].wait(_TURN_S)) is not None:
@@ -65,7 +66,7 @@ def run(port: Port, config: Config) -> int:
                 )
             else:
                 port.report("ok", used(journeys), **values)
-    port.report("ok", used(journeys), **journeys.values())
+    port.report("ok", used(journeys), **{**values, **journeys.values()})
     if port.results_dir is not None:
         port.results_dir.mkdir(parents=True, exist_ok=True)
         hops = {hop: {"count": h.count, **h.summary()} for hop, h in journeys.hops.items() if h.count}
