@@ -16,10 +16,13 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 BUDGET_S = 60.0
+ROBOT = f"minute_{os.getpid()}"
 
 # Runs in the fresh environment: waits for the robot, then for a map, then for a larger one.
 WATCH = """
+import sys
 import time
+
 from runtime import gate
 from runtime.bus_zenoh import ZenohBus
 from runtime.errors import HallwayError
@@ -28,13 +31,13 @@ from runtime.node import BusPort
 until = time.monotonic() + 170
 while True:
     try:
-        session = gate.visit("bench")
+        session = gate.visit(sys.argv[1])
         break
     except HallwayError:
         assert time.monotonic() < until, "no robot"
         time.sleep(0.05)
 known = []
-with BusPort("watch", lambda: ZenohBus(session), subscribes=("map",), robot="bench") as port:
+with BusPort("watch", lambda: ZenohBus(session), subscribes=("map",), robot=sys.argv[1]) as port:
     maps = port.subscribe("map")
     while len(known) < 2:
         assert time.monotonic() < until, "no map that grows"
@@ -46,13 +49,15 @@ with BusPort("watch", lambda: ZenohBus(session), subscribes=("map",), robot="ben
 """
 
 
-def demo(hallway: Path, python: Path, folder: Path) -> dict[str, float]:
+def demo(checkout: Path, folder: Path) -> dict[str, float]:
     """Start the demo; return seconds until all processes run, the first map, and one that has grown."""
     began = time.monotonic()
-    command = [hallway, "up", "demo", "--headless", "--robot", "bench", "--out", folder]
+    pipe = subprocess.PIPE
+    hallway, python = (checkout / ".venv" / "bin" / name for name in ("hallway", "python"))
+    command = [hallway, "up", "demo", "--headless", "--robot", ROBOT, "--out", folder]
     with (
-        subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as up,
-        subprocess.Popen([python, "-c", WATCH], stdout=subprocess.PIPE, text=True) as watch,
+        subprocess.Popen(command, cwd=checkout, stdout=pipe, text=True, start_new_session=True) as up,
+        subprocess.Popen([python, "-c", WATCH, ROBOT], cwd=checkout, stdout=pipe, text=True) as watch,
     ):
         try:
             times = {}
@@ -60,6 +65,8 @@ def demo(hallway: Path, python: Path, folder: Path) -> dict[str, float]:
                 if not watch.stdout.readline():
                     raise SystemExit("the demo showed no growing map")
                 times[name] = round(time.monotonic() - began, 1)
+            if up.poll() is not None:
+                raise SystemExit(f"the demo ended with code {up.returncode}")
         finally:
             up.send_signal(2)
             try:
@@ -80,16 +87,16 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="hallway-first-minute-") as name:
         folder = Path(name)
         began = time.monotonic()
-        subprocess.run(["git", "clone", "-q", ROOT, folder / "hallway"], check=True)
+        checkout = folder / "hallway"
+        subprocess.run(["git", "clone", "-q", ROOT, checkout], check=True)
         cloned = time.monotonic()
-        venv = folder / "hallway" / ".venv"
+        venv = checkout / ".venv"
         subprocess.run([args.python, "-m", "venv", venv], check=True)
-        subprocess.run([venv / "bin" / "pip", "install", "-q", "."], cwd=folder / "hallway", check=True)
+        subprocess.run([venv / "bin" / "pip", "install", "-q", "."], cwd=checkout, check=True)
         installed = time.monotonic()
-        hallway, python = venv / "bin" / "hallway", venv / "bin" / "python"
-        first = demo(hallway, python, folder / "first")
+        first = demo(checkout, folder / "first")
         total_s = installed - began + first["grown_map"]
-        again = demo(hallway, python, folder / "again")
+        again = demo(checkout, folder / "again")
         result = {
             "bench": "first_minute",
             "unit": "s",
