@@ -1,6 +1,7 @@
 """The driver's side of the watchdog: starts it, lends it the line, beats, and knows whether it listens."""
 
 import contextlib
+import os
 import select
 import socket
 import subprocess
@@ -105,7 +106,7 @@ class Guard:
         silences_ms = [str(round(seconds * 1000)) for seconds in (self._silence_s, self._deaf_s)]
         with theirs:
             self._process = subprocess.Popen(
-                [*command, str(theirs.fileno()), *silences_ms],
+                [*command, str(theirs.fileno()), str(os.getpid()), *silences_ms],
                 pass_fds=(theirs.fileno(),),
                 start_new_session=True,
                 stdin=subprocess.DEVNULL,

@@ -28,9 +28,8 @@ _AGAIN_S = 0.1
 _LAST_WORDS = 3
 
 
-def watch(link: socket.socket, silence_s: float, deaf_s: float) -> None:
-    """Watch the driver at the other end of the link until it is gone, then stop the robot that it left."""
-    driver = os.getppid()
+def watch(link: socket.socket, driver: int, silence_s: float, deaf_s: float) -> None:
+    """Watch the driver, a process, until it is gone; then stop the robot that it left."""
     line = -1
     moving = False
     heard = stopped = time.monotonic()
@@ -105,14 +104,15 @@ def _bury(line: int) -> None:
 
 
 def main() -> None:
-    """Run with the link's descriptor and two tolerated silences in ms: until a stop, until a kill."""
+    """Run with the link's descriptor, the driver's pid, and its silence in ms until a stop, until a kill."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)
     with contextlib.suppress(OSError):  # only where the user may
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
-    with socket.socket(fileno=int(sys.argv[1])) as link:
+    descriptor, driver, silence_ms, deaf_ms = map(int, sys.argv[1:])
+    with socket.socket(fileno=descriptor) as link:
         link.setblocking(False)
-        watch(link, int(sys.argv[2]) / 1000, int(sys.argv[3]) / 1000)
+        watch(link, driver, silence_ms / 1000, deaf_ms / 1000)
 
 
 if __name__ == "__main__":
