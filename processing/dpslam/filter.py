@@ -19,15 +19,18 @@ from processing.dpslam.grid import CELL_M, METRES, STOPS
 from processing.dpslam.loops import Loops
 from processing.dpslam.memory import KeyScans
 from processing.dpslam.population import Population
-from processing.dpslam.proposal import carry
+from processing.dpslam.proposal import Matrix
 from processing.dpslam.resampling import effective_size
-from processing.dpslam.sweep import Sweeper
+from processing.dpslam.search import Search
+from processing.dpslam.sweep import NOTHING_SEEN, Sweep, Sweeper
 from processing.dpslam.trail import Trail
-from processing.motion import Motion
+from processing.motion import UNKNOWN_VARIANCE, Motion, carried
 from processing.occupancy import OccupancyGrid, occupancy_of
 from processing.scan import Beams, Scan
 from processing.se2 import Pose
 
+MISFITS = 5
+"""Key scans in a row that contradict the own map before the track counts as lost."""
 _BEAMS = tuple(field.name for field in fields(Beams))
 
 
@@ -48,6 +51,10 @@ class MapStep:
     resampled: bool
     closed: bool
     """Whether a loop was closed: the whole path has moved."""
+    lost: bool
+    """Whether the laser is being searched for; the pose is then a guess, and nothing is mapped."""
+    places: tuple[Pose, ...]
+    """While lost: the places on the map that fit equally well."""
 
 
 class DpSlam:
@@ -63,6 +70,8 @@ class DpSlam:
         self._key_odom: Pose = np.zeros(3)
         self._odom: Pose = np.zeros(3)
         self._covariance = np.zeros((3, 3))
+        self._search: Search | None = None
+        self._strange = True
 
     def step(self, scan: Scan, motion: Motion) -> MapStep:
         """Take one scan and the motion that leads to it.
@@ -76,29 +85,68 @@ class DpSlam:
             self._sweeper = Sweeper(scan.beams, self.config.points, self.config.range_max_m)
         self._sweeper.check(scan)
         odom = np.array(motion.odom_t_laser, dtype=np.float64)
-        first = self._trail.scans == 0
-        if first:
+        strange, self._strange = self._strange, False
+        if strange:
+            # The odometry of another session starts anywhere.
             self._odom = self._key_odom = odom
-        else:
-            self._covariance = carry(self._covariance, se2.between(self._odom, odom)) + motion.covariance
-        key_t_laser = se2.between(self._key_odom, odom)
-        sweep = self._sweeper.take(scan, motion) if first or self._is_key(key_t_laser) else None
+        self._covariance = carried(self._covariance, se2.between(self._odom, odom)) + motion.covariance
         self._odom = odom
         self._trail.add(scan.stamp_ns, odom)
-        if sweep is None:
+        if strange and self.population.keys:
+            self._trail.break_off()
+        key_t_laser = se2.between(self._key_odom, odom)
+        if self._covariance[2, 2] >= UNKNOWN_VARIANCE and self._search is None and self.population.keys:
+            self._search = Search(self._predicted(key_t_laser))
+            self._trail.break_off()
+        if motion.lost:
             return self._answer(key_t_laser)
+        if self._search is not None:
+            return self._look(self._search, self._sweeper.take(scan, motion), key_t_laser)
+        if self.population.keys and not self._is_key(key_t_laser):
+            return self._answer(key_t_laser)
+        sweep = self._sweeper.take(scan, motion)
+        resampled = False
+        if self.population.keys:
+            resampled = self.population.update(sweep, key_t_laser, self._covariance)
+        if self.population.misfits:
+            # What contradicts the map shall not overwrite it: next time it would fit.
+            sweep = NOTHING_SEEN
+        closed = self._write(sweep, key_t_laser, self._covariance)
+        if self.population.misfits >= MISFITS:
+            self._search = Search(None)
+            self._trail.break_off()
+        return self._answer(np.zeros(3), updated=True, resampled=resampled, closed=closed)
+
+    def find_itself(self) -> None:
+        """Say that the next scan may be anywhere on the map: at the start of a session on a saved one."""
+        self._strange = True
+        self._search = Search(None)
+
+    def _look(self, search: Search, sweep: Sweep, key_t_laser: Pose) -> MapStep:
+        """Search the map for the laser; where it is found, go on mapping from there."""
         people = self.population
-        resampled = False if first else people.update(sweep, key_t_laser, self._covariance)
+        place = search.look(self._odom, sweep, people.store, people.best).map_t_laser
+        if place is None:
+            return self._answer(key_t_laser)
+        self._search = None
+        before = people.poses[people.best]
+        people.arrive(place)
+        self._write(sweep, se2.between(before, place), np.diag((UNKNOWN_VARIANCE,) * 3))
+        return self._answer(np.zeros(3), updated=True)
+
+    def _write(self, sweep: Sweep, key_t_laser: Pose, covariance: Matrix) -> bool:
+        """Write a key scan into all maps; return whether that closed a loop."""
+        people = self.population
         people.write(sweep.rays)
         self._scans.add(sweep.rays)
         self._trail.mark_key()
         moved = None
         if self.loops is not None:
-            moved = self.loops.step(key_t_laser, self._covariance, sweep.points, people.path)
+            moved = self.loops.step(key_t_laser, covariance, sweep.points, people.path)
             if moved is not None:
                 self.relive(moved)
-        self._key_odom, self._covariance = odom, np.zeros((3, 3))
-        return self._answer(np.zeros(3), updated=True, resampled=resampled, closed=moved is not None)
+        self._key_odom, self._covariance = self._odom, np.zeros((3, 3))
+        return moved is not None
 
     def relive(self, path: Pose) -> None:
         """Move the population onto one path (K, 3), a pose a key scan; the maps are drawn anew."""
@@ -123,7 +171,10 @@ class DpSlam:
             "odom_t_laser": self._odom.copy(),
             "covariance": self._covariance.copy(),
             "particles": np.array(self.config.particles),
+            "strange": np.array(self._strange),
         }
+        if self._search is not None:
+            parts["search"] = self._search.state()
         if self._sweeper is not None:
             b = self._sweeper.beams
             own["beams"] = np.array([getattr(b, name) for name in _BEAMS])
@@ -157,7 +208,9 @@ class DpSlam:
         if slam.loops is not None:
             slam.loops.restore(part("loops"))
         slam._key_odom, slam._odom = state["key_odom_t_laser"].copy(), state["odom_t_laser"].copy()
-        slam._covariance = state["covariance"].copy()
+        slam._covariance, slam._strange = state["covariance"].copy(), bool(state["strange"])
+        if searched := part("search"):
+            slam._search = Search.from_state(searched)
         if "beams" in state:
             count, *angles = state["beams"].tolist()
             beams = Beams(count=int(count), **dict(zip(_BEAMS[1:], angles, strict=True)))
@@ -184,11 +237,16 @@ class DpSlam:
     ) -> MapStep:
         people = self.population
         return MapStep(
-            map_t_laser=se2.compose(people.poses[people.best], key_t_laser),
+            map_t_laser=self._predicted(key_t_laser),
             updated=updated,
             particles=people.poses.copy(),
             weights=np.exp(people.log_weights),
             n_eff=effective_size(people.log_weights),
             resampled=resampled,
             closed=closed,
+            lost=self._search is not None,
+            places=() if self._search is None else self._search.found.places,
         )
+
+    def _predicted(self, key_t_laser: Pose) -> Pose:
+        return se2.compose(self.population.poses[self.population.best], key_t_laser)

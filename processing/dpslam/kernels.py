@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 
 from processing.dpslam.alignment import align
 from processing.dpslam.grid import _STORE, TILE_M, Arrays, Table
-from processing.dpslam.laser_model import place_rays, score_rays, write_rays
+from processing.dpslam.laser_model import place_rays, score_rays
+from processing.dpslam.writing import write_rays
 
 _MAP = f"{_STORE}, i4[:,:,::1], i8, i8"
 

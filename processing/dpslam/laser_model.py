@@ -13,18 +13,12 @@ from numpy.typing import NDArray
 
 from processing.dpslam.grid import (
     _STORE,
-    BLOCK,
-    BLOCKS,
-    CELL_M,
     METRES,
-    MOMENTS,
     NONE,
-    PLACES,
     STOPS,
     TILE,
     Arrays,
     Table,
-    own_tile,
 )
 
 PRIOR_DENSITY = 1.0 / 8.0
@@ -39,22 +33,19 @@ FLOOR = 0.01
 """Likelihood of a reading by whatever the map does not know: people, glass, dirt."""
 OCCUPIED = 0.25
 """A cell counts for the matcher's reference if a ray that crosses its width stops with this probability."""
-MOST_WEIGHT = 10.0
-"""Stops beyond which a cell weighs no more in the matcher's reference."""
 OPAQUE = 30.0
 """Optical depth through which nothing comes."""
 
-_CELLS_PER_M = 20.0
-_TILE_BITS = 5
-_BLOCK_BITS = 2
-_NOWHERE = -(1 << 40)
+CELLS_PER_M = 20.0
+TILE_BITS = 5
+NOWHERE = -(1 << 40)
 _STOPS_PER_METRES = METRES / STOPS
 _PRIOR_STOPS = PRIOR_STOPS * METRES
 _PRIOR_METRES = PRIOR_M * METRES
 
 
 @njit("UniTuple(f8, 3)(f8, f8)", cache=True, nogil=True)
-def _axis(start: float, end: float) -> tuple[float, float, float]:
+def axis(start: float, end: float) -> tuple[float, float, float]:
     """Prepare one axis of a walk over cells: step, way to the first border, way between borders.
 
     `start` and `end` in cells; ways in fractions of the ray.
@@ -88,115 +79,76 @@ def stop_probability(stops: float, travelled: float, stretch: float) -> float:
     return float(1.0 - np.exp(-density * stretch))
 
 
-@njit("void(u2[:,::1], u2[:,::1], f4[:,::1], u1[:,::1], i4)", cache=True, nogil=True)
-def _renew_blocks(
-    cells: NDArray[np.uint16],
-    ends: NDArray[np.uint16],
-    blocks: NDArray[np.float32],
-    stale: NDArray[np.uint8],
-    tile: int,
-) -> None:
-    """Compute anew the moments of the tile's blocks whose cells have changed."""
-    stale[tile, 0] &= 1
-    for block in range(BLOCKS * BLOCKS):
-        if stale[tile, block] == 0:
-            continue
-        stale[tile, block] = 0
-        n = sx = sy = sxx = sxy = syy = 0.0
-        corner = ((block // BLOCKS) * BLOCK * TILE + (block % BLOCKS) * BLOCK) * 2
-        for r in range(BLOCK):
-            for c in range(BLOCK):
-                at = corner + (r * TILE + c) * 2
-                stops, metres = cells[tile, at] / STOPS, cells[tile, at + 1] / METRES
-                if stops <= 0.0 or stop_probability(stops, metres, CELL_M) < OCCUPIED:
-                    continue
-                w = min(stops, MOST_WEIGHT)
-                px, py = (c + ends[tile, at] / PLACES) * CELL_M, (r + ends[tile, at + 1] / PLACES) * CELL_M
-                n += w
-                sx += w * px
-                sy += w * py
-                sxx += w * px * px
-                sxy += w * px * py
-                syy += w * py * py
-        at = block * MOMENTS
-        blocks[tile, at], blocks[tile, at + 1], blocks[tile, at + 2] = n, sx, sy
-        blocks[tile, at + 3], blocks[tile, at + 4], blocks[tile, at + 5] = sxx, sxy, syy
-
-
-@njit(f"i8({_STORE}, i4[:,:,::1], i8, i8, i8, f8[:,::1], f8, i4[::1])", cache=True, nogil=True)
-def write_rays(
+@njit(f"f8({_STORE}, i4[:,:,::1], i8, i8, i8, f8[:,::1], i8, b1)", cache=True, nogil=True)
+def _likelihood(
     store: Arrays,
     table: Table,
     particle: int,
     first_row: int,
     first_col: int,
     rays_map: NDArray[np.float64],
-    memory: float,
-    touched: NDArray[np.int32],
-) -> int:
-    """Write the sweep into one particle's map: metres along each ray, a stop at its end.
-
-    `first_row`, `first_col`: tile of the table's corner. `memory`: observations after which a cell starts to
-    forget (an exponential window), so that what has moved away fades. `touched` takes the tiles written to.
-
-    Returns:
-        The number of tiles in `touched`.
-    """
-    cells, ends, blocks, stale = store[0], store[1], store[2], store[3]
-    most = int(memory * CELL_M * METRES)
-    count = 0
-    for i in range(rays_map.shape[0]):
-        u0, v0 = rays_map[i, 0] * _CELLS_PER_M, rays_map[i, 1] * _CELLS_PER_M
-        u1, v1 = rays_map[i, 2] * _CELLS_PER_M, rays_map[i, 3] * _CELLS_PER_M
-        length = np.hypot(u1 - u0, v1 - v0) * CELL_M
-        step, next_x, way_x = _axis(u0, u1)
-        step_x = int(step)
-        step, next_y, way_y = _axis(v0, v1)
-        step_y = int(step)
-        col, row = int(np.floor(u0)), int(np.floor(v0))
-        tile_row, tile_col, tile = _NOWHERE, _NOWHERE, NONE
-        at = 0.0
-        while True:
-            last = next_x >= 1.0 and next_y >= 1.0
-            until = 1.0 if last else min(next_x, next_y)
-            if row >> _TILE_BITS != tile_row or col >> _TILE_BITS != tile_col:
-                tile_row, tile_col = row >> _TILE_BITS, col >> _TILE_BITS
-                tile = own_tile(store, table, particle, tile_row - first_row, tile_col - first_col)
-                if stale[tile, 0] < 2:
-                    stale[tile, 0] |= 2
-                    touched[count] = tile
-                    count += 1
-            r, c = row & (TILE - 1), col & (TILE - 1)
-            k = (r * TILE + c) * 2
-            stops = int(cells[tile, k])
-            metres = int(cells[tile, k + 1]) + int((until - at) * length * METRES + 0.5)
-            if last:
-                stops += int(STOPS)
-                share = STOPS / stops
-                x = min(max((u1 - col) * PLACES, 0.0), PLACES - 1.0)
-                y = min(max((v1 - row) * PLACES, 0.0), PLACES - 1.0)
-                ends[tile, k] = int(ends[tile, k] + (x - ends[tile, k]) * share + 0.5)
-                ends[tile, k + 1] = int(ends[tile, k + 1] + (y - ends[tile, k + 1]) * share + 0.5)
-            if stops > 0:
-                stale[tile, (r >> _BLOCK_BITS) * BLOCKS + (c >> _BLOCK_BITS)] |= 1
-                seen = stops / STOPS + metres * (_CELLS_PER_M / METRES)
-                if seen > memory:
-                    # Rounded down, so that what nobody sees any more does vanish.
-                    stops, metres = int(stops * (memory / seen)), int(metres * (memory / seen))
-                cells[tile, k] = stops
-            cells[tile, k + 1] = min(metres, most)
-            if last:
-                break
-            at = until
-            if next_x <= next_y:
-                col += step_x
-                next_x += way_x
-            else:
-                row += step_y
-                next_y += way_y
-    for k in range(count):
-        _renew_blocks(cells, ends, blocks, stale, touched[k])
-    return count
+    i: int,
+    whole: bool,
+) -> float:
+    """Return the likelihood of ray i; see `score_rays`."""
+    cells = store[0]
+    rows, cols = table.shape[1], table.shape[2]
+    dx, dy = rays_map[i, 2] - rays_map[i, 0], rays_map[i, 3] - rays_map[i, 1]
+    reading = np.hypot(dx, dy)
+    if reading <= 0.0:
+        return FLOOR
+    dx, dy = dx / reading, dy / reading
+    start = 0.0 if whole else max(0.0, reading - NEAR_M)
+    length = reading + NEAR_M - start
+    u0 = (rays_map[i, 0] + start * dx) * CELLS_PER_M
+    v0 = (rays_map[i, 1] + start * dy) * CELLS_PER_M
+    u1 = (rays_map[i, 0] + (start + length) * dx) * CELLS_PER_M
+    v1 = (rays_map[i, 1] + (start + length) * dy) * CELLS_PER_M
+    step, next_x, way_x = axis(u0, u1)
+    step_x = int(step)
+    step, next_y, way_y = axis(v0, v1)
+    step_y = int(step)
+    col, row = int(np.floor(u0)), int(np.floor(v0))
+    tile_row, tile_col, tile = NOWHERE, NOWHERE, NONE
+    at = depth = likelihood = 0.0
+    through = -1.0
+    while True:
+        last = next_x >= 1.0 and next_y >= 1.0
+        until = 1.0 if last else min(next_x, next_y)
+        if row >> TILE_BITS != tile_row or col >> TILE_BITS != tile_col:
+            tile_row, tile_col = row >> TILE_BITS, col >> TILE_BITS
+            tile = NONE
+            if 0 <= tile_row - first_row < rows and 0 <= tile_col - first_col < cols:
+                tile = table[particle, tile_row - first_row, tile_col - first_col]
+        density = PRIOR_DENSITY
+        if tile != NONE:
+            k = ((row & (TILE - 1)) * TILE + (col & (TILE - 1))) * 2
+            density = (cells[tile, k] * _STOPS_PER_METRES + _PRIOR_STOPS) / (
+                cells[tile, k + 1] + _PRIOR_METRES
+            )
+        thick = density * ((until - at) * length)
+        off = (start + 0.5 * (at + until) * length - reading) * (1.0 / NEAR_M)
+        near = 1.0 - off * off
+        if near > 0.0:
+            if through < 0.0:
+                through = np.exp(-depth)
+            passed = through * np.exp(-thick)
+            near *= near
+            near *= near
+            likelihood += (through - passed) * (near * near)
+            through = passed
+        else:
+            depth += thick
+        if last or depth > OPAQUE or (through >= 0.0 and near <= 0.0):
+            break
+        at = until
+        if next_x <= next_y:
+            col += step_x
+            next_x += way_x
+        else:
+            row += step_y
+            next_y += way_y
+    return float(FLOOR + likelihood)
 
 
 @njit(f"f8({_STORE}, i4[:,:,::1], i8, i8, i8, f8[:,::1], i8, i8, b1)", cache=True, nogil=True)
@@ -215,64 +167,28 @@ def score_rays(
 
     `whole`: walk from the laser; else only the stretch around the reading, as if the way there were free.
     """
-    cells = store[0]
-    rows, cols = table.shape[1], table.shape[2]
     total = 0.0
     for i in range(begin, rays_map.shape[0], every):
-        dx, dy = rays_map[i, 2] - rays_map[i, 0], rays_map[i, 3] - rays_map[i, 1]
-        reading = np.hypot(dx, dy)
-        if reading <= 0.0:
-            continue
-        dx, dy = dx / reading, dy / reading
-        start = 0.0 if whole else max(0.0, reading - NEAR_M)
-        length = reading + NEAR_M - start
-        u0 = (rays_map[i, 0] + start * dx) * _CELLS_PER_M
-        v0 = (rays_map[i, 1] + start * dy) * _CELLS_PER_M
-        u1 = (rays_map[i, 0] + (start + length) * dx) * _CELLS_PER_M
-        v1 = (rays_map[i, 1] + (start + length) * dy) * _CELLS_PER_M
-        step, next_x, way_x = _axis(u0, u1)
-        step_x = int(step)
-        step, next_y, way_y = _axis(v0, v1)
-        step_y = int(step)
-        col, row = int(np.floor(u0)), int(np.floor(v0))
-        tile_row, tile_col, tile = _NOWHERE, _NOWHERE, NONE
-        at = depth = likelihood = 0.0
-        through = -1.0
-        while True:
-            last = next_x >= 1.0 and next_y >= 1.0
-            until = 1.0 if last else min(next_x, next_y)
-            if row >> _TILE_BITS != tile_row or col >> _TILE_BITS != tile_col:
-                tile_row, tile_col = row >> _TILE_BITS, col >> _TILE_BITS
-                tile = NONE
-                if 0 <= tile_row - first_row < rows and 0 <= tile_col - first_col < cols:
-                    tile = table[particle, tile_row - first_row, tile_col - first_col]
-            density = PRIOR_DENSITY
-            if tile != NONE:
-                k = ((row & (TILE - 1)) * TILE + (col & (TILE - 1))) * 2
-                density = (cells[tile, k] * _STOPS_PER_METRES + _PRIOR_STOPS) / (
-                    cells[tile, k + 1] + _PRIOR_METRES
-                )
-            thick = density * ((until - at) * length)
-            off = (start + 0.5 * (at + until) * length - reading) * (1.0 / NEAR_M)
-            near = 1.0 - off * off
-            if near > 0.0:
-                if through < 0.0:
-                    through = np.exp(-depth)
-                passed = through * np.exp(-thick)
-                near *= near
-                near *= near
-                likelihood += (through - passed) * (near * near)
-                through = passed
-            else:
-                depth += thick
-            if last or depth > OPAQUE or (through >= 0.0 and near <= 0.0):
-                break
-            at = until
-            if next_x <= next_y:
-                col += step_x
-                next_x += way_x
-            else:
-                row += step_y
-                next_y += way_y
-        total += np.log(FLOOR + likelihood)
+        total += np.log(_likelihood(store, table, particle, first_row, first_col, rays_map, i, whole))
     return total
+
+
+@njit(f"UniTuple(f8, 2)({_STORE}, i4[:,:,::1], i8, i8, i8, f8[:,::1])", cache=True, nogil=True)
+def judge_rays(
+    store: Arrays, table: Table, particle: int, first_row: int, first_col: int, rays_map: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Return the share of the rays that end in cells seen before, and the mean log-likelihood of those."""
+    rows, cols = table.shape[1], table.shape[2]
+    known, total = 0, 0.0
+    for i in range(rays_map.shape[0]):
+        col = int(np.floor(rays_map[i, 2] * CELLS_PER_M))
+        row = int(np.floor(rays_map[i, 3] * CELLS_PER_M))
+        at_row, at_col = (row >> TILE_BITS) - first_row, (col >> TILE_BITS) - first_col
+        if at_row < 0 or at_row >= rows or at_col < 0 or at_col >= cols:
+            continue
+        tile = table[particle, at_row, at_col]
+        if tile == NONE or store[0][tile, ((row & (TILE - 1)) * TILE + (col & (TILE - 1))) * 2 + 1] == 0:
+            continue
+        known += 1
+        total += np.log(_likelihood(store, table, particle, first_row, first_col, rays_map, i, True))
+    return known / max(rays_map.shape[0], 1), total / max(known, 1)

@@ -10,7 +10,7 @@ from processing.dpslam import kernels
 from processing.dpslam.ancestry import Ancestry
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.grid import TileStore
-from processing.dpslam.laser_model import place_rays
+from processing.dpslam.laser_model import judge_rays, place_rays
 from processing.dpslam.memory import KeyScans
 from processing.dpslam.proposal import Matrix, noise_root, priors
 from processing.dpslam.resampling import effective_size, normalise, systematic_parents
@@ -27,6 +27,13 @@ NEGLIGIBLE = 13.0
 FAITH = 1.0
 """The best particle stays it until another one's log weight is so much higher: maps do not flicker."""
 
+ARRIVAL = np.array((0.02, 0.02, 0.01))
+"""How well a place found on the map is known, one sigma; m, m, rad."""
+KNOWN = 0.3
+MISFIT = -2.7
+"""A scan of which the share KNOWN of the rays ends where the map knows something contradicts it if those rays
+have less log-likelihood in the mean: they cross walls and end in the free."""
+
 
 class Population:
     """P particles; random numbers depend on the seed and the number of the key scan alone."""
@@ -40,6 +47,8 @@ class Population:
         self.log_weights = np.full(config.particles, -np.log(config.particles))
         self.best = 0
         self.keys = 0
+        self.misfits = 0
+        """Key scans in a row that contradicted the best particle's map."""
 
     @property
     def path(self) -> Pose:
@@ -62,15 +71,27 @@ class Population:
         root = noise_root(covariance)
         predicted = np.ascontiguousarray(se2.compose(se2.compose(self.poses, key_t_laser), normal @ root.T))
         self._refine(sweep, predicted, root)
-        self._weigh(sweep)
+        rays = sweep.rays[:: max(1, len(sweep.rays) // self.config.rays)].copy()
+        self._weigh(rays)
         heaviest = int(np.argmax(self.log_weights))
         if self.log_weights[heaviest] > self.log_weights[self.best] + FAITH:
             self.best = heaviest
+        self._judge(rays)
         self.ancestry.extend(self.poses)
         if effective_size(self.log_weights) >= self.config.particles / 2:
             return False
         self._select(systematic_parents(self.log_weights, uniform))
         return True
+
+    def arrive(self, map_t_laser: Pose) -> None:
+        """Put every particle at a place that was found, each on its own map, and take up its path there."""
+        random = np.random.Generator(np.random.Philox(key=self.seed, counter=(0, 0, 1, self.keys)))
+        spread = random.standard_normal(self.poses.shape) * ARRIVAL
+        spread[self.best] = 0.0
+        self.poses = np.ascontiguousarray(se2.compose(map_t_laser, spread))
+        self.log_weights = np.full(len(self.poses), -np.log(len(self.poses)))
+        self.misfits = 0
+        self.ancestry.extend(self.poses)
 
     def write(self, rays: NDArray[np.float64]) -> None:
         """Write a key scan's rays (N, 4) into the map of each particle."""
@@ -125,7 +146,7 @@ class Population:
         """Return everything as arrays; `restore` takes it back."""
         parts = {f"store.{k}": v for k, v in self.store.state().items()}
         parts |= {f"ancestry.{k}": v for k, v in self.ancestry.state().items()}
-        counts = np.array((self.seed, self.best, self.keys))
+        counts = np.array((self.seed, self.best, self.keys, self.misfits))
         return parts | {"poses": self.poses.copy(), "log_weights": self.log_weights.copy(), "counts": counts}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
@@ -133,7 +154,7 @@ class Population:
         self.store.restore({k[6:]: v for k, v in state.items() if k.startswith("store.")})
         self.ancestry.restore({k[9:]: v for k, v in state.items() if k.startswith("ancestry.")})
         self.poses, self.log_weights = state["poses"].copy(), state["log_weights"].copy()
-        self.seed, self.best, self.keys = (int(v) for v in state["counts"])
+        self.seed, self.best, self.keys, self.misfits = (int(v) for v in state["counts"])
 
     def _refine(self, sweep: Sweep, predicted: Pose, root: Matrix) -> None:
         c = self.config
@@ -143,9 +164,15 @@ class Population:
         kernels.refine_all(*self.store.maps, sweep.points, predicted, ties, GAIN, poses, information, results)
         self.poses = poses
 
-    def _weigh(self, sweep: Sweep) -> None:
+    def _judge(self, rays: NDArray[np.float64]) -> None:
+        """Count the key scans in a row that contradict the best particle's map."""
+        placed = np.empty_like(rays)
+        place_rays(self.poses[self.best], rays, placed)
+        known, fit = judge_rays(*self.store.maps[:2], self.best, *self.store.maps[2:], placed)
+        self.misfits = self.misfits + 1 if known >= KNOWN and fit < MISFIT else 0
+
+    def _weigh(self, rays: NDArray[np.float64]) -> None:
         c = self.config
-        rays = sweep.rays[:: max(1, len(sweep.rays) // c.rays)].copy()
         chosen = np.ones(c.particles, dtype=np.uint8)
         cheap, full = np.zeros(c.particles), np.zeros(c.particles)
         kernels.weigh_all(*self.store.maps, rays, self.poses, CHEAP_EVERY, False, chosen, cheap)

@@ -3,8 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.se2 import Pose
-
 Matrix = NDArray[np.float64]
 
 NOISE_M = 0.005
@@ -12,15 +10,6 @@ NOISE_RAD = 0.002
 """Least noise of a predicted motion: no matcher is better than its points."""
 MOST_NOISE = np.array((0.5, 0.5, 0.3))
 """Noise beyond which a motion is as good as unknown; m, m, rad."""
-
-
-def carry(covariance: Matrix, old_t_new: Pose) -> Matrix:
-    """Express the covariance of a pose, given in its old frame, in its new frame after a further motion."""
-    c, s = np.cos(old_t_new[2]), np.sin(old_t_new[2])
-    x, y = old_t_new[0], old_t_new[1]
-    # A turn in the old frame swings the new one sideways.
-    jacobian = np.array(((c, s, s * x - c * y), (-s, c, c * x + s * y), (0.0, 0.0, 1.0)))
-    return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
 def noise_root(covariance: Matrix) -> Matrix:

@@ -20,6 +20,9 @@ class Sweep:
     """(M, 2) means of stretches of the contour."""
 
 
+NOTHING_SEEN = Sweep(np.zeros((0, 4)), np.zeros((0, 2)))
+
+
 class Sweeper:
     """Turns the scans of one scanner into sweeps."""
 

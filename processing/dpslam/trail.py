@@ -16,6 +16,7 @@ class Trail:
         self._stamps_ns = np.zeros(1024, dtype=np.int64)
         self._odom_t_laser = np.zeros((1024, 3))
         self._keys = np.zeros(1024, dtype=np.int64)
+        self._breaks: list[int] = []
         self.scans = 0
         self.keys = 0
 
@@ -34,6 +35,10 @@ class Trail:
             self._keys = np.concatenate((self._keys, np.zeros_like(self._keys)))
         self._keys[self.keys] = self.scans - 1
         self.keys += 1
+
+    def break_off(self) -> None:
+        """Say that the odometry tells nothing of the way to the newest scan: the track was lost before it."""
+        self._breaks.append(self.scans - 1)
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
@@ -60,8 +65,18 @@ class Trail:
         key_t_next = se2.between(odom[keys[before]], odom[keys[after]])
         missed = se2.between(key_t_next, se2.between(map_t_keys[before], map_t_keys[after]))
         span = np.maximum(keys[after] - keys[before], 1)
-        share = np.where(after > before, (scans - keys[before]) / span, 0.0)[:, None]
-        return se2.compose(map_t_keys[before], se2.compose(key_t_scan, missed * share))
+        torn = np.diff(
+            np.searchsorted(self._breaks, np.stack((keys[before], keys[after])), side="right"), axis=0
+        )[0]
+        share = np.where((after > before) & (torn == 0), (scans - keys[before]) / span, 0.0)[:, None]
+        laid = se2.compose(map_t_keys[before], se2.compose(key_t_scan, missed * share))
+        # From where the track was lost up to where it was found again, the way is known backwards.
+        lost = np.searchsorted(self._breaks, scans, side="right") > np.searchsorted(
+            self._breaks, keys[before], side="right"
+        )
+        back = lost & (after > before)
+        laid[back] = se2.compose(map_t_keys[after[back]], se2.between(odom[keys[after[back]]], odom[back]))
+        return laid
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return what was added; `restore` takes it back."""
@@ -69,6 +84,7 @@ class Trail:
             "stamps_ns": self._stamps_ns[: self.scans].copy(),
             "odom_t_laser": self._odom_t_laser[: self.scans].copy(),
             "keys": self._keys[: self.keys].copy(),
+            "breaks": np.array(self._breaks, dtype=np.int64),
         }
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
@@ -78,3 +94,4 @@ class Trail:
         self._stamps_ns = np.concatenate((state["stamps_ns"], room))
         self._odom_t_laser = np.concatenate((state["odom_t_laser"], np.zeros((1, 3))))
         self._keys = np.concatenate((state["keys"], room))
+        self._breaks = state["breaks"].tolist()

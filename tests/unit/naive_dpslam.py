@@ -11,11 +11,12 @@ import math
 import numpy as np
 
 from processing import se2
-from processing.dpslam import alignment, laser_model, population
+from processing.dpslam import alignment, laser_model, population, writing
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.grid import BLOCK, BLOCK_M, CELL_M, METRES, PLACES, STOPS
-from processing.dpslam.proposal import carry, noise_root, priors
+from processing.dpslam.proposal import noise_root, priors
 from processing.dpslam.sweep import Sweeper
+from processing.motion import carried
 
 HALF = 320
 """The dense maps reach so many cells from the start."""
@@ -130,6 +131,16 @@ class NaiveMap:
             total += math.log(m.FLOOR + likelihood)
         return total
 
+    def contradicts(self, rays_map):
+        """Whether many rays end where the map knows something, and does not know it so."""
+        known = []
+        for ray in rays_map:
+            col, row = math.floor(ray[2] * 20.0), math.floor(ray[3] * 20.0)
+            if self.cells[row + HALF, col + HALF, 1] > 0:
+                known.append(self.log_likelihood([ray], 1, True))
+        share = len(known) / len(rays_map)
+        return share >= population.KNOWN and sum(known) / len(known) < population.MISFIT
+
     def block(self, row, col):
         """Moments of the occupied cells of one block, in single precision as the store keeps them."""
         moments = [0.0] * 6
@@ -140,7 +151,7 @@ class NaiveMap:
                 density = (stops + laser_model.PRIOR_STOPS) / (metres + laser_model.PRIOR_M)
                 if stops <= 0.0 or 1.0 - math.exp(-density * CELL_M) < laser_model.OCCUPIED:
                     continue
-                w = min(stops, laser_model.MOST_WEIGHT)
+                w = min(stops, writing.MOST_WEIGHT)
                 x, y = (c + int(cell[2]) / PLACES) * CELL_M, (r + int(cell[3]) / PLACES) * CELL_M
                 for k, value in enumerate((w, w * x, w * y, w * x * x, w * x * y, w * y * y)):
                     moments[k] += value
@@ -255,22 +266,24 @@ class NaiveDpSlam:
             self.key_odom, self.covariance = odom, np.zeros((3, 3))
         else:
             step = se2.between(self.odom, odom)
-            self.covariance = carry(self.covariance, step) + motion.covariance
+            self.covariance = carried(self.covariance, step) + motion.covariance
         first, self.odom = self.odom is None, odom
         moved = se2.between(self.key_odom, odom)
         c = self.config
         if not first and np.hypot(*moved[:2]) < c.key_distance_m and abs(moved[2]) < c.key_rotation_rad:
             return False
         sweep = self.sweeper.take(scan, motion)
+        rays = sweep.rays
         if not first:
-            self._update(sweep, moved)
+            if self._update(sweep, moved):
+                rays = rays[:0]
         else:
             for path, pose in zip(self.paths, self.poses, strict=True):
                 path.append(pose)
         self.keys += 1
-        self.sweeps.append(sweep.rays.astype(np.float32))
+        self.sweeps.append(rays.astype(np.float32))
         for own_map, pose in zip(self.maps, self.poses, strict=True):
-            own_map.write(placed(pose, sweep.rays), c.memory)
+            own_map.write(placed(pose, rays), c.memory)
         self.key_odom, self.covariance = odom, np.zeros((3, 3))
         return True
 
@@ -310,10 +323,12 @@ class NaiveDpSlam:
         heaviest = int(np.argmax(self.log_weights))
         if self.log_weights[heaviest] > self.log_weights[self.best] + population.FAITH:
             self.best = heaviest
+        misfit = self.maps[self.best].contradicts(seen[self.best])
         for path, pose in zip(self.paths, self.poses, strict=True):
             path.append(pose)
         if 1.0 / np.exp(2.0 * self.log_weights).sum() < count / 2:
             self._select(uniform)
+        return misfit
 
     def _select(self, uniform):
         count = self.config.particles

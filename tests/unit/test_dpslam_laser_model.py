@@ -15,8 +15,8 @@ from processing.dpslam.laser_model import (
     SIGMA_M,
     score_rays,
     stop_probability,
-    write_rays,
 )
+from processing.dpslam.writing import write_rays
 
 HERE = np.zeros((1, 3))
 

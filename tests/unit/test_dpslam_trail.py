@@ -64,3 +64,30 @@ def test_long_runs_grow_the_trail_and_a_restored_one_goes_on():
     keys = np.zeros((2501, 3))
     assert np.array_equal(trail.stamps_ns, np.arange(2501))
     assert np.array_equal(trail.lay(keys), twin.lay(keys))
+
+
+def test_after_a_loss_the_way_is_known_backwards_from_where_the_laser_was_found():
+    trail = Trail()
+    odom = [(0.1 * k, 0.0, 0.0) for k in range(4)] + [(5.0 + 0.1 * k, 1.0, 0.5) for k in range(4)]
+    for number, pose in enumerate(odom):
+        trail.add(number, np.array(pose))
+        if number == 4:
+            trail.break_off()
+        if number in (0, 6):
+            trail.mark_key()
+    found = np.array((-3.0, 2.0, 1.0))
+    laid = trail.lay(np.stack((np.zeros(3), found)))
+    assert laid[:4] == pytest.approx(np.array(odom[:4]))
+    for k in range(4, 8):
+        assert laid[k] == pytest.approx(se2.compose(found, se2.between(np.array(odom[6]), np.array(odom[k]))))
+
+
+def test_while_the_laser_is_still_lost_the_odometry_goes_on_as_a_guess():
+    trail = Trail()
+    for number, pose in enumerate(((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.2, 0.0, 0.0))):
+        trail.add(number, np.array(pose))
+        if number == 0:
+            trail.mark_key()
+        else:
+            trail.break_off()
+    assert trail.lay(np.zeros((1, 3)))[:, 0] == pytest.approx([0.0, 0.1, 0.2])

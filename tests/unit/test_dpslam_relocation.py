@@ -1,0 +1,211 @@
+"""Lost and found: on a saved map, after a loss, carried away; and refused where places are equal."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from drivers.world import Building, Urg04lx, demo_building, outline, simulate_scans
+from processing import se2
+from processing.dpslam.config import DpSlamConfig
+from processing.dpslam.filter import DpSlam
+from processing.dpslam.relocation import relocate
+from processing.dpslam.sweep import Sweeper
+from processing.motion import UNKNOWN_VARIANCE, Motion
+from processing.scan import Beams, Scan
+
+LASER = Urg04lx()
+BEAMS = Beams(
+    count=LASER.beams,
+    angle_min_rad=LASER.angle_min_rad,
+    angle_increment_rad=LASER.angle_increment_rad,
+    time_increment_s=LASER.time_increment_s,
+    period_s=LASER.period_s,
+    range_min_m=LASER.range_min_m,
+    range_max_m=LASER.range_max_m,
+)
+KNOWN = np.diag((0.01**2, 0.01**2, 0.003**2))
+CONFIG = DpSlamConfig(particles=8, close_loops=False)
+
+
+def drive(building, scans, seed=0, first_ns=0, every=1):
+    """Scans, with motions as a good odometry gives them, and the true poses seen from the first."""
+    start, before = None, None
+    course = simulate_scans(building, laser=LASER, speed_mps=0.6, max_scans=scans, rest_s=0.0, seed=seed)
+    for stamp_ns, ranges_m, world_t_laser in itertools.islice(course, 0, None, every):
+        start = world_t_laser if start is None else start
+        pose = se2.between(start, world_t_laser)
+        twist = np.zeros(3)
+        if before is not None:
+            step = se2.between(before, pose)
+            twist = step / (every * LASER.period_s)
+        before = pose
+        motion = Motion(stamp_ns + first_ns, se2.snap_yaw(pose), KNOWN, twist)
+        yield Scan(stamp_ns + first_ns, ranges_m.copy(), BEAMS), motion, pose
+
+
+@pytest.fixture(scope="module")
+def mapped():
+    """A map of the first rooms of the demo building, and the poses on it."""
+    slam, poses = DpSlam(CONFIG, 1), []
+    for scan, motion, pose in drive(demo_building(), 420):
+        slam.step(scan, motion)
+        poses.append(pose)
+    return slam, np.array(poses)
+
+
+def moved(motion, odom_t_laser, covariance=None):
+    return Motion(
+        motion.stamp_ns,
+        se2.snap_yaw(odom_t_laser),
+        motion.covariance if covariance is None else covariance,
+        motion.twist,
+    )
+
+
+def off(pose, truth):
+    error = se2.between(truth, pose)
+    return float(np.hypot(error[0], error[1])), abs(float(error[2]))
+
+
+def test_a_scan_is_found_anywhere_on_the_map(mapped):
+    slam, poses = mapped
+    sweeper = Sweeper(BEAMS, 134, 30.0)
+    found = 0
+    for number, (scan, motion, pose) in enumerate(drive(demo_building(), 420, seed=9)):
+        if number % 60 != 30:
+            continue
+        sweep = sweeper.take(scan, motion)
+        answer = relocate(slam.population.store, slam.population.best, sweep.points, sweep.rays)
+        if answer.map_t_laser is not None:
+            found += 1
+            distance, turn = off(answer.map_t_laser, poses[number])
+            assert distance < 0.15
+            assert turn < 0.05
+        elif answer.places:
+            # Where it does not say which, the right one is among those it names.
+            assert min(off(place, pose)[0] for place in answer.places) < 0.15
+    assert found >= 5
+
+
+def test_two_rooms_alike_are_both_named_and_neither_is_chosen():
+    rooms = [(0.0, 0.0, 4.0, 3.0), (10.0, 0.0, 14.0, 3.0), (4.0, 1.3, 10.0, 1.7)]
+    route = np.array(((1.0, 1.5), (13.0, 1.5), (1.0, 1.5), (3.0, 1.5)))
+    twins = Building(outline(rooms), route=route, name="twins")
+    slam = DpSlam(CONFIG, 1)
+    last = None
+    for scan, motion, _ in drive(twins, 540):
+        slam.step(scan, motion)
+        last = scan, motion
+    # Drawn by hand in the second room: turned by half a circle, the first room looks the same from there.
+    here = np.array((11.7, 1.9, 0.6))
+    from drivers.world import bearings, cast
+
+    hits = cast(twins, np.tile(here[:2], (LASER.beams, 1)), here[2] + bearings(LASER), LASER.range_max_m)
+    scan = Scan(last[0].stamp_ns + 1, hits.ranges_m.astype(np.float32), BEAMS)
+    sweep = Sweeper(BEAMS, 134, 30.0).take(scan, moved(last[1], np.zeros(3)))
+    answer = relocate(slam.population.store, slam.population.best, sweep.points, sweep.rays)
+    assert answer.map_t_laser is None
+    assert len(answer.places) == 2
+    between = se2.between(answer.places[0], answer.places[1])
+    assert 8.0 < np.hypot(between[0], between[1]) < 12.0
+
+
+def test_a_scan_of_somewhere_else_is_found_nowhere(mapped):
+    slam, _ = mapped
+    hall = Building(
+        outline([(0.0, 0.0, 3.1, 3.1), (3.1, 1.0, 8.0, 1.7)]), route=np.array(((1.6, 1.6), (7.0, 1.4)))
+    )
+    scan, motion, _ = next(drive(hall, 1))
+    sweep = Sweeper(BEAMS, 134, 30.0).take(scan, motion)
+    answer = relocate(slam.population.store, slam.population.best, sweep.points, sweep.rays)
+    assert answer.map_t_laser is None
+
+
+def test_a_new_session_finds_itself_on_the_saved_map_and_goes_on(mapped):
+    slam, poses = mapped
+    later = DpSlam.from_state(slam.state(), CONFIG)
+    keys = later.population.keys
+    later.find_itself()
+    steps = []
+    for number, (scan, motion, _) in enumerate(drive(demo_building(), 420, seed=5, first_ns=10**12)):
+        if number < 200:
+            continue
+        # Its odometry starts at zero, wherever the laser is.
+        odom = se2.between(poses[200], poses[number])
+        steps.append((number, later.step(scan, moved(motion, odom))))
+    found = [number for number, step in steps if not step.lost]
+    assert found
+    assert found[0] < 260
+    assert found == list(range(found[0], 420))  # and it is not lost again
+    distance, turn = off(steps[-1][1].map_t_laser, poses[419])
+    assert distance < 0.15
+    assert turn < 0.05
+    assert later.population.keys > keys
+    stamps, path = later.trajectory()
+    assert len(stamps) == 420 + 220
+    # The scans before it was found are laid backwards from there.
+    assert np.hypot(*(path[420:, :2] - poses[200:, :2]).T).max() < 0.3
+
+
+def test_carried_away_blind_it_is_found_where_it_was_put_down(mapped):
+    slam, poses = mapped
+    robot = DpSlam.from_state(slam.state(), CONFIG)
+    course = list(drive(demo_building(), 420, seed=7, first_ns=10**12))
+    odom = np.array(poses[-1])
+    states = []
+    for number in range(150, 260):
+        scan, motion, _ = course[number]
+        unknown = np.diag((UNKNOWN_VARIANCE,) * 3) if number < 155 else KNOWN
+        if number >= 155:
+            odom = se2.compose(odom, se2.between(poses[number - 1], poses[number]))
+        states.append(robot.step(scan, moved(motion, odom, unknown)))
+    assert states[0].lost
+    assert not states[-1].lost
+    distance, _ = off(states[-1].map_t_laser, poses[259])
+    assert distance < 0.2
+
+
+def test_a_map_that_contradicts_what_is_seen_is_not_written_on(mapped):
+    slam, poses = mapped
+    robot = DpSlam.from_state(slam.state(), CONFIG)
+    course = list(drive(demo_building(), 420, seed=8, first_ns=10**12))
+    odom = np.array(poses[-1])
+    lost_at = found_at = None
+    for number in range(100, 330):
+        # Put down elsewhere without a word: the odometry takes the new place for the old one.
+        scan, motion, _ = course[number]
+        if number > 100:
+            odom = se2.compose(odom, se2.between(poses[number - 1], poses[number]))
+        step = robot.step(scan, moved(motion, odom))
+        lost_at = number if step.lost and lost_at is None else lost_at
+        if lost_at is not None and not step.lost:
+            found_at = number
+            break
+    assert lost_at is not None
+    assert lost_at < 140
+    assert found_at is not None
+    distance, _ = off(step.map_t_laser, poses[found_at])
+    assert distance < 0.2
+
+
+def test_a_search_survives_a_restart(mapped):
+    slam, poses = mapped
+    robot = DpSlam.from_state(slam.state(), CONFIG)
+    robot.find_itself()
+    course = list(drive(demo_building(), 420, seed=5, first_ns=10**12))
+    steps = [
+        (scan, moved(motion, se2.between(poses[200], poses[k]))) for k, (scan, motion, _) in enumerate(course)
+    ]
+    blind = [
+        (Scan(scan.stamp_ns, np.full(LASER.beams, np.nan, np.float32), BEAMS), motion)
+        for scan, motion in steps
+    ]
+    for scan, motion in blind[200:203]:
+        assert robot.step(scan, motion).lost
+    twin = DpSlam.from_state(robot.state(), CONFIG)
+    for scan, motion in steps[203:260]:
+        one, other = robot.step(scan, motion), twin.step(scan, motion)
+        assert np.array_equal(one.particles, other.particles)
+        assert one.lost == other.lost
+    assert not one.lost
