@@ -4,7 +4,7 @@ A scan and its motion belong together by their stamp. Motions wait in order, and
 mapper keeps up; where it does not, whole scans are left out, newest first to be served, and counted.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from processing.motion import Motion, following
 from processing.odometry import LaserOdometry, OdometryConfig
 from processing.scan import Scan
 from runtime import messages
+from runtime.checkpoint import Checkpoint
 from runtime.formats.map_server import GridMap
 from runtime.messages import BadMessageError
 from runtime.nodes.convert import (
@@ -38,6 +39,8 @@ KEEP_SCANS = 64
 LATE_SCANS = 20
 """Motions waiting from which on scans are left out: two seconds behind the laser."""
 PATH_POSES = 2000
+CHECKPOINT_NS = 2_000_000_000
+"""So much of the drive at most is missing in the map of a mapper that was killed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +69,7 @@ def run(port: Port, config: Config) -> int:
         if pair is not None:
             mapper.take(*pair)
         mapper.tell()
+        mapper.keep()
     mapper.save()
     return 0
 
@@ -138,14 +142,25 @@ class _Mapper:
 
     def __init__(self, port: Port, config: Config) -> None:
         self._port, self._config = port, config
-        self._filter = DpSlam(config.mapping, port.seed)
-        self._odometry: list[se2.Pose] = []
-        self._stamp_ns = 0
+        self._checkpoint = Checkpoint(
+            port.run_dir / "mapper.checkpoint", CHECKPOINT_NS, (config.mapping, port.seed)
+        )
+        kept = self._checkpoint.read()
+        self._filter: DpSlam
+        self._odometry: list[se2.Pose]
+        self._stamp_ns: int
+        self._filter, self._odometry, self._stamp_ns = kept or (DpSlam(config.mapping, port.seed), [], 0)
+        self._resumed = kept is not None
+        if self._resumed:
+            port.count("resumptions")
+            port.log.warning("goes on with the map of the process before it, %d scans", len(self._odometry))
         self._changed = False
         self._mapped_ns = 0
 
     def take(self, scan: Scan, motion: Motion) -> None:
         """Work one scan in and say where the laser is."""
+        if self._resumed:
+            motion, self._resumed = self._over_the_gap(scan, motion), False
         try:
             step = self._filter.step(scan, motion)
         except ValueError as error:
@@ -156,6 +171,18 @@ class _Mapper:
         self._stamp_ns = scan.stamp_ns
         self._changed = self._changed or step.updated
         self._publish(step, motion)
+
+    def _over_the_gap(self, scan: Scan, motion: Motion) -> Motion:
+        """Give the first motion after a restart the doubt of those that nobody worked in."""
+        steps = max(1, round((scan.stamp_ns - self._stamp_ns) / (scan.beams.period_s * 1e9)))
+        return replace(motion, covariance=steps * motion.covariance)
+
+    def keep(self) -> None:
+        """Write down what the next process needs if this one is killed, now and then, after the answers."""
+        if not self._odometry or not self._checkpoint.due(self._stamp_ns):
+            return
+        if not self._checkpoint.write(self._stamp_ns, (self._filter, self._odometry, self._stamp_ns)):
+            self._port.count("checkpoints_failed")
 
     def _publish(self, step: MapStep, motion: Motion) -> None:
         port, stamp_ns = self._port, motion.stamp_ns

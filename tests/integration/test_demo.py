@@ -1,4 +1,4 @@
-"""The demo as a person sees it: real drivers, matcher and mapper on emulated devices; two of them killed."""
+"""The demo as a person sees it: real drivers, matcher and mapper on emulated devices; both killed."""
 
 import json
 import os
@@ -16,7 +16,7 @@ from runtime.bus_zenoh import ZenohBus
 from runtime.health import Health
 
 ROOT = Path(__file__).resolve().parents[2]
-KILLED = ("matcher", "base")
+KILLED = ("matcher", "mapper")
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def pid_of(health, name):
 
 
 @pytest.mark.timeout(300)
-def test_the_demo_makes_a_map_although_matcher_and_base_are_killed(tmp_path, environment):
+def test_the_demo_makes_a_map_although_matcher_and_mapper_are_killed(tmp_path, environment):
     command = [
         sys.executable,
         "-m",

@@ -1,4 +1,4 @@
-"""A matcher that is killed in mid-way goes on in the same frame; one of another configuration does not."""
+"""Matcher and mapper, killed in mid-way, go on in the same frame and with the same map."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,15 @@ import pytest
 from drivers import world
 from processing.odometry import OdometryConfig
 from processing.scan import Beams, Scan
-from runtime.nodes import matcher
-from runtime.nodes.convert import motion_from_message, scan_to_message
+from runtime import messages
+from runtime.clock import Clock
+from runtime.nodes import mapper, matcher
+from runtime.nodes.convert import (
+    motion_from_message,
+    motion_to_message,
+    pose_from_message,
+    scan_to_message,
+)
 from runtime.port import ListPort
 
 PERIOD_NS = 100_000_000
@@ -69,3 +76,36 @@ def test_scans_that_never_came_are_no_leap(drive_scans, tmp_path, after):
     port, _ = drive(drive_scans[19:], tmp_path, after=after)
     speeds = [motion_from_message(message).twist[0] for message in port.said("odom")]
     assert speeds[2:] == pytest.approx([SPEED_M_S] * len(speeds[2:]), abs=0.1)
+
+
+class Paced(ListPort):
+    """Gives one motion at a time, as a matcher does."""
+
+    def subscribe(self, topic, **how):
+        subscription = super().subscribe(topic, **how)
+        if topic == "odom":
+            subscription.drain = list
+        return subscription
+
+
+def test_a_mapper_goes_on_with_its_map(drive_scans, tmp_path):
+    _, motions = drive(drive_scans, tmp_path / "matcher")
+    both = list(zip(drive_scans, motions, strict=True))
+
+    def run(pairs):
+        inputs = [
+            pair for scan, motion in pairs for pair in (("scan", scan), ("odom", motion_to_message(motion)))
+        ]
+        port = Paced(*inputs, run_dir=tmp_path, clock=Clock())
+        assert mapper.run(port, mapper.Config()) == 0
+        return port, [pose_from_message(message.pose.pose) for message in port.said("pose")]
+
+    first, _ = run(both[:25])
+    second, poses = run(both[30:])
+    assert "resumptions" not in first.counters
+    assert second.counters["resumptions"] == 1
+    for (_, motion), pose in zip(both[30:], poses, strict=True):
+        assert pose[:2] == pytest.approx(motion.odom_t_laser[:2], abs=0.05)
+    # What only the first one saw is still in the map of the second.
+    trajectory = second.said("trajectory")[-1]
+    assert messages.stamp_ns_of(trajectory.poses[0].header.stamp) == motions[0].stamp_ns
