@@ -88,7 +88,7 @@ def test_the_demo_makes_a_map_although_matcher_and_mapper_are_killed(tmp_path, e
     }
     assert restarts == dict.fromkeys(KILLED, 1)
     poses = np.loadtxt(results / "trajectory.tum")
-    assert len(poses) > 40
+    assert poses[-1, 0] - poses[0, 0] > 4.5  # from before the first kill to after the last
     steps_m = np.hypot(*np.diff(poses[:, 1:3], axis=0).T)
     seconds = np.diff(poses[:, 0])
     # The robot drives at 0.3 m/s at most; a frame that began anew would be a leap.
