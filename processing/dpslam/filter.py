@@ -138,10 +138,12 @@ class DpSlam:
         """Write a key scan into all maps; return whether that closed a loop."""
         people = self.population
         people.write(sweep.rays)
-        self._scans.add(sweep.rays)
+        replaced = self._scans.add(sweep, people.poses[people.best])
         self._trail.mark_key()
         moved = None
         if self.loops is not None:
+            if replaced is not None:
+                self.loops.forget(replaced)
             moved = self.loops.step(key_t_laser, covariance, sweep.points, people.path)
             if moved is not None:
                 self.relive(moved)
@@ -150,7 +152,8 @@ class DpSlam:
 
     def relive(self, path: Pose) -> None:
         """Move the population onto one path (K, 3), a pose a key scan; the maps are drawn anew."""
-        self.population.relive(path, self._scans)
+        if self._sweeper is not None:
+            self.population.relive(path, self._scans, self._sweeper.beams)
 
     def finish(self) -> None:
         """Lay the path as all its relations want it, at the end of a run, before its results are read."""

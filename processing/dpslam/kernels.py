@@ -112,13 +112,13 @@ def write_all(
     return int(poses.shape[0])
 
 
-@njit(f"i8({_MAP}, f4[:,::1], i8[::1], f8[:,::1], f8, i8)", cache=True, nogil=True)
+@njit(f"i8({_MAP}, f8[:,::1], i8[::1], f8[:,::1], f8, i8)", cache=True, nogil=True)
 def write_path(
     store: Arrays,
     table: Table,
     first_row: int,
     first_col: int,
-    rays: NDArray[np.float32],
+    rays: NDArray[np.float64],
     ends: NDArray[np.int64],
     path: NDArray[np.float64],
     memory: float,
@@ -132,33 +132,32 @@ def write_path(
     longest = 0
     for k in range(path.shape[0]):
         longest = max(longest, ends[k + 1] - ends[k])
-    own, placed = np.empty((longest, 4)), np.empty((longest, 4))
+    placed = np.empty((longest, 4))
     touched = np.empty(table.shape[1] * table.shape[2] + 1, dtype=np.int32)
     for k in range(begin, path.shape[0]):
         count = ends[k + 1] - ends[k]
-        own[:count] = rays[ends[k] : ends[k + 1]]
-        place_rays(path[k], own[:count], placed[:count])
+        place_rays(path[k], rays[ends[k] : ends[k + 1]], placed[:count])
         if store[6][0] < tiles_under(placed[:count]):
             return k
         write_rays(store, table, 0, first_row, first_col, placed[:count], memory, touched)
     return int(path.shape[0])
 
 
-@njit("Tuple((f8[::1], f8[::1], i8))(f4[:,::1], i8[::1], f8[:,::1])", cache=True, nogil=True)
+@njit("Tuple((f8[::1], f8[::1], i8))(f8[:,::1], i8[::1], f8[:,::1])", cache=True, nogil=True)
 def bounds(
-    rays: NDArray[np.float32], ends: NDArray[np.int64], path: NDArray[np.float64]
+    rays: NDArray[np.float64], ends: NDArray[np.int64], path: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
     """Return the corners of a box around all key scans, and the most tiles that one of them may touch."""
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    # The start counts too: an empty path must not give an empty box.
+    low, high = np.zeros(2), np.zeros(2)
     tiles = 1
     for k in range(path.shape[0]):
         count = ends[k + 1] - ends[k]
         reach = 0.0
         for i in range(ends[k], ends[k + 1]):
-            reach = max(reach, np.hypot(float(rays[i, 2]), float(rays[i, 3])))
-        own, placed = np.empty((count, 4)), np.empty((count, 4))
-        own[:] = rays[ends[k] : ends[k + 1]]
-        place_rays(path[k], own, placed)
+            reach = max(reach, np.hypot(rays[i, 2], rays[i, 3]))
+        placed = np.empty((count, 4))
+        place_rays(path[k], rays[ends[k] : ends[k + 1]], placed)
         tiles = max(tiles, tiles_under(placed))
         for axis in range(2):
             low[axis] = min(low[axis], path[k, axis] - reach)

@@ -142,6 +142,11 @@ class Loops:
         """Return the path (K, 3) that satisfies all relations best."""
         return smooth(self.path, self._relations()).poses if len(self.path) > 1 else self.path.copy()
 
+    def forget(self, key: int) -> None:
+        """Let go of the points of a settled key scan that newer ones of its place stand for."""
+        if key < self._settled:
+            self.points[key] = np.zeros((0, 2))
+
     def state(self) -> dict[str, NDArray[Any]]:
         """Return everything as arrays; `restore` takes it back."""
         near, key, seen, known, doubt = zip(*self.places, strict=True) if self.places else ((),) * 5

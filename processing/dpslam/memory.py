@@ -1,56 +1,88 @@
-"""The key scans themselves, kept small, so that the maps can be drawn anew along a moved path."""
+"""The key scans themselves, kept small, so that the maps can be drawn anew along a moved path.
 
+Where the laser has looked often from one place in one direction, only the newest scans are kept: memory grows
+with the ground, not with time.
+"""
+
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.dpslam.sweep import NOTHING_SEEN, Sweep, cast_rays
+from processing.scan import Beams
+from processing.se2 import Pose
+
+PLACE_M = 1.0
+HEADINGS = 8
+"""A place is a square of this side and a heading in as many parts of the circle."""
+MOST_SCANS = 8
+"""Key scans kept of one place: two passes."""
+CHUNK = 500
+"""Key scans whose rays are cast at once."""
+
 
 class KeyScans:
-    """The rays of every key scan, single precision, in one growing pool."""
+    """Ranges of every key scan that is kept; empty where newer ones stand for it."""
 
     def __init__(self) -> None:
-        self._rays = np.zeros((4096, 4), dtype=np.float32)
-        self._ends = np.zeros(1024, dtype=np.int64)
-        self._count = 0
+        self._ranges_m: list[NDArray[np.float32]] = []
+        self._numbers: list[NDArray[np.uint16]] = []
+        self._twists: list[NDArray[np.float64]] = []
+        self._places: dict[tuple[int, int, int], list[int]] = {}
 
     def __len__(self) -> int:
-        return self._count
-
-    @property
-    def rays(self) -> NDArray[np.float32]:
-        """All rays (N, 4): start x, y and end x, y, m, each in the frame of its own key scan."""
-        return self._rays
-
-    @property
-    def ends(self) -> NDArray[np.int64]:
-        """(K + 1,) key scan k has the rays from `ends[k]` to `ends[k + 1]`."""
-        return self._ends[: self._count + 1]
+        return len(self._ranges_m)
 
     @property
     def bytes_used(self) -> int:
-        """Memory of what is kept."""
-        return int(self._ends[self._count]) * self._rays.itemsize * 4
+        """Memory of the ranges kept."""
+        return sum(len(numbers) for numbers in self._numbers) * 6
 
-    def add(self, rays: NDArray[np.float64]) -> None:
-        """Append the rays (N, 4) of one key scan."""
-        begin = int(self._ends[self._count])
-        end = begin + len(rays)
-        if end > len(self._rays):
-            room = max(end, 2 * len(self._rays)) - len(self._rays)
-            self._rays = np.concatenate((self._rays, np.zeros((room, 4), dtype=np.float32)))
-        if self._count + 1 == len(self._ends):
-            self._ends = np.concatenate((self._ends, np.zeros_like(self._ends)))
-        self._rays[begin:end] = rays
-        self._count += 1
-        self._ends[self._count] = end
+    def add(self, sweep: Sweep, map_t_laser: Pose) -> int | None:
+        """Append one key scan; return the number of the older one that it replaces, if any."""
+        x, y, yaw = (float(v) for v in map_t_laser)
+        heading = int(np.floor(yaw / (2.0 * np.pi) * HEADINGS)) % HEADINGS
+        place = (int(np.floor(x / PLACE_M)), int(np.floor(y / PLACE_M)), heading)
+        kept = self._places.setdefault(place, [])
+        kept.append(len(self))
+        self._ranges_m.append(sweep.ranges_m)
+        self._numbers.append(sweep.numbers)
+        self._twists.append(sweep.twist)
+        if len(kept) <= MOST_SCANS:
+            return None
+        old = kept.pop(0)
+        self._ranges_m[old], self._numbers[old] = NOTHING_SEEN.ranges_m, NOTHING_SEEN.numbers
+        return old
+
+    def rays(self, beams: Beams) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+        """Yield the rays (N, 4) of some hundred key scans at a time, and where those of each begin and end."""
+        for first in range(0, len(self), CHUNK):
+            part = slice(first, first + CHUNK)
+            lengths = [len(numbers) for numbers in self._numbers[part]]
+            twists = np.repeat(np.array(self._twists[part]), lengths, axis=0)
+            ranges_m, numbers = np.concatenate(self._ranges_m[part]), np.concatenate(self._numbers[part])
+            ends = np.concatenate(((0,), np.cumsum(lengths, dtype=np.int64)))
+            yield cast_rays(beams, ranges_m, numbers, twists), ends
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return what was added; `restore` takes it back."""
-        return {"rays": self._rays[: int(self._ends[self._count])].copy(), "ends": self.ends.copy()}
+        places = [(*place, key) for place, kept in self._places.items() for key in kept]
+        return {
+            "ranges_m": np.concatenate((NOTHING_SEEN.ranges_m, *self._ranges_m)),
+            "numbers": np.concatenate((NOTHING_SEEN.numbers, *self._numbers)),
+            "counts": np.array([len(numbers) for numbers in self._numbers], dtype=np.int64),
+            "twists": np.array(self._twists).reshape(-1, 3),
+            "places": np.array(places, dtype=np.int64).reshape(-1, 4),
+        }
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Become the memory whose `state` was taken."""
-        self._count = len(state["ends"]) - 1
-        self._rays = state["rays"].copy()
-        self._ends = np.concatenate((state["ends"], np.zeros(1, dtype=np.int64)))
+        ends = np.cumsum(state["counts"])
+        self._ranges_m = [part.copy() for part in np.split(state["ranges_m"], ends)[:-1]]
+        self._numbers = [part.copy() for part in np.split(state["numbers"], ends)[:-1]]
+        self._twists = list(state["twists"].copy())
+        self._places = {}
+        for x, y, heading, key in state["places"].tolist():
+            self._places.setdefault((x, y, heading), []).append(key)

@@ -15,6 +15,7 @@ from processing.dpslam.memory import KeyScans
 from processing.dpslam.proposal import Matrix, noise_root, priors
 from processing.dpslam.resampling import effective_size, normalise, systematic_parents
 from processing.dpslam.sweep import Sweep
+from processing.scan import Beams
 from processing.se2 import Pose
 
 GAIN = 0.3
@@ -111,15 +112,16 @@ class Population:
             place_rays(self.poses[done], rays, placed)
             self.store.reserve(kernels.tiles_under(placed))
 
-    def relive(self, path: Pose, scans: KeyScans) -> None:
+    def relive(self, path: Pose, scans: KeyScans, beams: Beams) -> None:
         """Give the whole population one path, and maps drawn anew along it.
 
-        The move step of a resample-move particle filter. Each particle keeps its offset from the best one as
-        its place around the end of the path, and its weight.
+        The move step of a resample-move particle filter. Each particle keeps its offset from the best one as its
+        place around the end of the path, and its weight.
 
         Args:
             path: (K, 3) poses of all key scans so far, all of them written.
-            scans: Their rays.
+            scans: What was seen from them.
+            beams: The scanner.
 
         Raises:
             ValueError: path and key scans are not as many as were written.
@@ -131,15 +133,16 @@ class Population:
         self.ancestry.restart(np.ascontiguousarray(path[:-1]))
         self.ancestry.extend(self.poses)
         self.store.clear()
-        path = np.ascontiguousarray(path)
-        low, high, tiles = kernels.bounds(scans.rays, scans.ends, path)
-        self.store.cover(low, high)
-        done = 0
-        while done < self.keys:
-            self.store.reserve(tiles)
-            done = kernels.write_path(
-                *self.store.maps, scans.rays, scans.ends, path, self.config.memory, done
-            )
+        first = 0
+        for rays, ends in scans.rays(beams):
+            part = np.ascontiguousarray(path[first : first + len(ends) - 1])
+            first += len(part)
+            low, high, tiles = kernels.bounds(rays, ends, part)
+            self.store.cover(low, high)
+            done = 0
+            while done < len(part):
+                self.store.reserve(tiles)
+                done = kernels.write_path(*self.store.maps, rays, ends, part, self.config.memory, done)
         self.store.share(0)
 
     def state(self) -> dict[str, NDArray[Any]]:

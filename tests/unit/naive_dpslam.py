@@ -281,7 +281,7 @@ class NaiveDpSlam:
             for path, pose in zip(self.paths, self.poses, strict=True):
                 path.append(pose)
         self.keys += 1
-        self.sweeps.append(rays.astype(np.float32))
+        self.sweeps.append(rays)
         for own_map, pose in zip(self.maps, self.poses, strict=True):
             own_map.write(placed(pose, rays), c.memory)
         self.key_odom, self.covariance = odom, np.zeros((3, 3))

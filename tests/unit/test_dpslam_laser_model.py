@@ -195,7 +195,7 @@ def test_key_scans_written_at_once_are_those_written_one_by_one():
     rng = np.random.default_rng(1)
     scans = [np.column_stack((np.zeros((40, 2)), rng.normal(0, 2, (40, 2)))) for _ in range(5)]
     path = rng.normal(0, 1, (5, 3))
-    rays = np.concatenate(scans).astype(np.float32)
+    rays = np.concatenate(scans)
     ends = np.arange(6, dtype=np.int64) * 40
     one, many = TileStore(1), TileStore(1)
     low, high, tiles = kernels.bounds(rays, ends, path)
@@ -203,7 +203,7 @@ def test_key_scans_written_at_once_are_those_written_one_by_one():
         store.cover(low, high)
         store.reserve(5 * tiles)
     for k in range(5):
-        own = rays[ends[k] : ends[k + 1]].astype(np.float64)
+        own = rays[ends[k] : ends[k + 1]]
         kernels.write_all(*one.maps, own, path[k : k + 1].copy(), 60.0, 0)
     kernels.write_path(*many.maps, rays, ends, path, 60.0, 0)
     assert np.array_equal(one.dense(0)[0], many.dense(0)[0])
