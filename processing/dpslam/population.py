@@ -115,8 +115,8 @@ class Population:
     def relive(self, path: Pose, scans: KeyScans, beams: Beams) -> None:
         """Give the whole population one path, and maps drawn anew along it.
 
-        The move step of a resample-move particle filter. Each particle keeps its offset from the best one as its
-        place around the end of the path, and its weight.
+        The move step of a resample-move particle filter. Each particle keeps its offset from the best one as
+        its place around the end of the path, and its weight.
 
         Args:
             path: (K, 3) poses of all key scans so far, all of them written.
