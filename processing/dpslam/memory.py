@@ -56,7 +56,7 @@ class KeyScans:
         self._ranges_m[old], self._numbers[old] = NOTHING_SEEN.ranges_m, NOTHING_SEEN.numbers
         return old
 
-        """Yield the rays (N, 4) of some hundred key scans at a time, and where those of each begin."""
+    def rays(self, beams: Beams) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
         """Yield the rays (N, 4) of some hundred key scans at a time, and where each one's begin and end."""
         for first in range(0, len(self), CHUNK):
             part = slice(first, first + CHUNK)

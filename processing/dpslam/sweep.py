@@ -48,7 +48,7 @@ def cast_rays(
     after_s = numbers * beams.time_increment_s
     vx, vy, rate = twist[..., 0], twist[..., 1], twist[..., 2]
     angle = rate * after_s
-    # The path of a constant twist: along = sin(a)/w, across = (1 - cos(a))/w of the velocity, without the 0/0.
+    # The path of a constant twist: along = sin(a)/w and across = (1 - cos(a))/w of the velocity, without the
     # 0/0.
     along = after_s * np.sinc(angle / np.pi)
     across = 0.5 * angle * after_s * np.sinc(0.5 * angle / np.pi) ** 2
