@@ -98,6 +98,23 @@ def fit(n, su, sv, suu, suv, svv, rule, normal):
     return True
 
 
+@njit("b1(i8, i8, i4[:,:,::1], f8[:,::1], f8[::1], f8[::1])", cache=True, nogil=True)
+def fit_block(row, col, slots, sums, rule, normal):
+    """Fit the block of the four half cells at and after (row, col); False where its points are too few."""
+    n = su = sv = suu = suv = svv = 0.0
+    for r in range(row, row + 2):
+        for c in range(col, col + 2):
+            slot = slots[0, r, c]
+            if slot >= 0:
+                n += sums[slot, 0]
+                su += sums[slot, 1]
+                sv += sums[slot, 2]
+                suu += sums[slot, 3]
+                suv += sums[slot, 4]
+                svv += sums[slot, 5]
+    return fit(n, su, sv, suu, suv, svv, rule, normal)
+
+
 @njit(
     "i8[::1](f8[::1], i4[:,:,::1], f8[:,::1], i4[:,::1], f8[:,::1], i4[:,::1], f8[::1], i8[::1])",
     cache=True,
@@ -112,20 +129,9 @@ def fit_blocks(origin, slots, sums, places, normals, blocks, rule, counts):
             for col in range(places[k, 1] - 1, places[k, 1] + 1):
                 if slots[1, row, col] != -1 or used == normals.shape[0]:
                     continue
-                n = su = sv = suu = suv = svv = 0.0
-                for r in range(row, row + 2):
-                    for c in range(col, col + 2):
-                        slot = slots[0, r, c]
-                        if slot >= 0:
-                            n += sums[slot, 0]
-                            su += sums[slot, 1]
-                            sv += sums[slot, 2]
-                            suu += sums[slot, 3]
-                            suv += sums[slot, 4]
-                            svv += sums[slot, 5]
                 blocks[used, 0] = row
                 blocks[used, 1] = col
-                if fit(n, su, sv, suu, suv, svv, rule, normal):
+                if fit_block(row, col, slots, sums, rule, normal):
                     for j in range(5):
                         normals[used, j] = normal[j]
                     slots[1, row, col] = used

@@ -7,14 +7,25 @@ and out; nothing is checked here (`processing.dpslam.settled` does that).
 import numpy as np
 from numba import njit
 
-from processing.ndt_kernels import fit, point_score
+from processing.ndt_kernels import fit_block, point_score
 
 
-@njit(
-    "i8(f8[:,::1], f8[::1], i4[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], i8)",
-    cache=True,
-    nogil=True,
-)
+@njit("i8(i8, i8, i4[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], i8)", cache=True, nogil=True)
+def refit_around(row, col, slots, sums, normals, rule, normal, used):
+    """Fit anew the four blocks that hold half cell (row, col); return how many rows of `normals` are used."""
+    for block_row in range(row - 1, row + 1):
+        for block_col in range(col - 1, col + 1):
+            if fit_block(block_row, block_col, slots, sums, rule, normal):
+                slot = slots[1, block_row, block_col]
+                if slot < 0:
+                    slot = used
+                    slots[1, block_row, block_col] = slot
+                    used += 1
+                normals[slot, :] = normal
+    return used
+
+
+@njit("i8(f8[:,::1], f8[::1], i4[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], i8)", cache=True, nogil=True)
 def refit(points, origin, slots, sums, normals, rule, used):
     """Fit anew every block in which any point (N, 2) lies; return how many rows of `normals` are used."""
     rows, cols = slots.shape[1], slots.shape[2]
@@ -22,28 +33,8 @@ def refit(points, origin, slots, sums, normals, rule, used):
     for k in range(points.shape[0]):
         col = int(np.floor((points[k, 0] - origin[0]) * origin[2]))
         row = int(np.floor((points[k, 1] - origin[1]) * origin[2]))
-        if row < 1 or col < 1 or row >= rows - 1 or col >= cols - 1:
-            continue
-        for block_row in range(row - 1, row + 1):
-            for block_col in range(col - 1, col + 1):
-                n = su = sv = suu = suv = svv = 0.0
-                for r in range(block_row, block_row + 2):
-                    for c in range(block_col, block_col + 2):
-                        half = slots[0, r, c]
-                        if half >= 0:
-                            n += sums[half, 0]
-                            su += sums[half, 1]
-                            sv += sums[half, 2]
-                            suu += sums[half, 3]
-                            suv += sums[half, 4]
-                            svv += sums[half, 5]
-                if fit(n, su, sv, suu, suv, svv, rule, normal):
-                    slot = slots[1, block_row, block_col]
-                    if slot < 0:
-                        slot = used
-                        slots[1, block_row, block_col] = slot
-                        used += 1
-                    normals[slot, :] = normal
+        if 1 <= row < rows - 1 and 1 <= col < cols - 1:
+            used = refit_around(row, col, slots, sums, normals, rule, normal, used)
     return used
 
 
@@ -52,27 +43,7 @@ def refit_all(places, count, slots, sums, normals, rule, used):
     """Fit the blocks of the first `count` half cells of `places`; return how many are used."""
     normal = np.empty(5)
     for k in range(count):
-        row, col = places[k, 0], places[k, 1]
-        for block_row in range(row - 1, row + 1):
-            for block_col in range(col - 1, col + 1):
-                n = su = sv = suu = suv = svv = 0.0
-                for r in range(block_row, block_row + 2):
-                    for c in range(block_col, block_col + 2):
-                        half = slots[0, r, c]
-                        if half >= 0:
-                            n += sums[half, 0]
-                            su += sums[half, 1]
-                            sv += sums[half, 2]
-                            suu += sums[half, 3]
-                            suv += sums[half, 4]
-                            svv += sums[half, 5]
-                if fit(n, su, sv, suu, suv, svv, rule, normal):
-                    slot = slots[1, block_row, block_col]
-                    if slot < 0:
-                        slot = used
-                        slots[1, block_row, block_col] = slot
-                        used += 1
-                    normals[slot, :] = normal
+        used = refit_around(places[k, 0], places[k, 1], slots, sums, normals, rule, normal, used)
     return used
 
 
