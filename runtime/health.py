@@ -15,7 +15,10 @@ from runtime.messages import BadMessageError
 from runtime.topics import topic
 
 LEVELS = ("ok", "warn", "error", "stale")
+LEAVING = "leaving"
+"""Among the values of the last word of a process that ends as it should."""
 _MAX_NODES = 256  # remembered; a foreign publisher must not grow this without end
+_GONE_S = 60.0  # whoever was not heard for so long gives way to a newcomer
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +36,11 @@ class Vital:
     def age_s(self) -> float:
         """Since it was heard."""
         return time.monotonic() - self.heard_monotonic
+
+    @property
+    def has_left(self) -> bool:
+        """Whether this was its last word, by its own account."""
+        return LEAVING in self.values
 
     def number(self, key: str, default: float = 0.0) -> float:
         """Return one of the values as a number; `default` if it is none."""
@@ -99,5 +107,13 @@ class Health:
             values = {pair.key: pair.value for pair in status.values}
             vital = Vital(name, LEVELS[min(status.level, 3)], status.message, values, stamp_ns, heard)
             with self._lock:
+                if name not in self._vitals and len(self._vitals) >= _MAX_NODES:
+                    make_room(self._vitals)
                 if name in self._vitals or len(self._vitals) < _MAX_NODES:
                     self._vitals[name] = vital
+
+
+def make_room(vitals: dict[str, Vital]) -> None:
+    """Forget the last word of whoever left, or was not heard for long, so that those who come are heard."""
+    for name in [n for n, vital in vitals.items() if vital.has_left or vital.age_s > _GONE_S]:
+        del vitals[name]

@@ -16,6 +16,7 @@ from typing import Any
 from runtime import messages, realtime
 from runtime.bus import Bus, Handle, Publisher, wait_matching
 from runtime.clock import Clock
+from runtime.health import LEAVING
 from runtime.inbox import Inbox
 from runtime.messages import DiagnosticArray, DiagnosticStatus, KeyValue
 from runtime.port import Level, Subscription
@@ -156,10 +157,12 @@ class BusPort:
         """
         self._asked_to_stop = True
 
-    def beat(self) -> None:
-        """Publish how the node is, now."""
+    def beat(self, *, leaving: bool = False) -> None:
+        """Publish how the node is, now; the last word says that it is the last."""
         level, text, values = self._state
         entries = {**self.counters(), **{key: str(value) for key, value in values.items()}}
+        if leaving:
+            entries[LEAVING] = 1
         status = DiagnosticStatus(
             level=_LEVELS[level],
             name=f"{self.robot}/{self.name}",
@@ -190,7 +193,7 @@ class BusPort:
         if self._beating is not None:
             self._beating.join()
         if self._bus is not None:
-            self.beat()
+            self.beat(leaving=True)
             self._bus.close()
             self._bus = None
 

@@ -112,7 +112,8 @@ def _hops(monitor: Vital | None) -> dict[str, dict[str, float]]:
 
 def _lines(vitals: Mapping[str, Vital], supervisor: Vital | None) -> list[ProcessLine]:
     names = [key.split(".")[1] for key in supervisor.values if key.endswith(".state")] if supervisor else []
-    names += [name for name in vitals if name not in names]
+    guests = [name for name in vitals if name not in names]
+    names += [name for name in guests if not _is_gone(vitals[name], supervisor)]
     lines: list[ProcessLine] = []
     for name in names:
         vital = vitals.get(name)
@@ -138,6 +139,15 @@ def _lines(vitals: Mapping[str, Vital], supervisor: Vital | None) -> list[Proces
             )
         )
     return lines
+
+
+def _is_gone(guest: Vital, supervisor: Vital | None) -> bool:
+    """Whether somebody who is no process of the run has left, which is no fault of the robot's.
+
+    Said, or because nothing was heard: a link that was cut takes the last word along.
+    """
+    known = supervisor is not None and guest is not supervisor
+    return guest.has_left or (known and guest.age_s > _STALE_S)
 
 
 def _sum(values: Mapping[str, str], endings: tuple[str, ...]) -> int:

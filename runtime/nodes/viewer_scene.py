@@ -17,7 +17,7 @@ from processing.motion import Motion
 from processing.scan import Scan, end_points
 from processing.se2 import Pose, compose, transform
 from runtime import messages
-from runtime.health import LEVELS, Vital
+from runtime.health import LEVELS, Vital, make_room
 from runtime.messages import BadMessageError
 from runtime.nodes.convert import motion_from_message, pose_from_message, scan_from_message
 from runtime.nodes.viewer_shapes import cloud_points, outline, shrunk, unseen
@@ -226,7 +226,11 @@ class Scene:
     def _on_diagnostics(self, message: Any, received: Received) -> None:
         for status in message.status:
             robot, _, name = status.name.partition("/")
-            if robot != self._robot or (name not in self._vitals and len(self._vitals) >= NODES_MAX):
+            if robot != self._robot:
+                continue
+            if name not in self._vitals and len(self._vitals) >= NODES_MAX:
+                make_room(self._vitals)
+            if name not in self._vitals and len(self._vitals) >= NODES_MAX:
                 continue
             level = LEVELS[min(status.level, 3)]
             before = self._vitals.get(name)

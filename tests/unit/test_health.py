@@ -1,5 +1,7 @@
 """What processes say of themselves becomes one picture, and no foreign word can grow or break it."""
 
+import time
+
 import pytest
 
 from runtime import messages
@@ -129,3 +131,48 @@ def test_a_real_port_is_heard(bus, health):
         line = status_of("robot", health.vitals()).processes[0]
         assert (line.name, line.level, line.text, line.state) == ("mapper", "warn", "full", "running")
         assert line.rss_mb > 1
+
+
+def test_a_guest_that_left_is_no_fault_and_a_silent_process_of_the_run_is_one(bus, health, monkeypatch):
+    say(bus, "robot/supervisor", **{"child.laser.state": "running"})
+    say(bus, "robot/laser", 0, "scanning")
+    with BusPort("view_17", bus.join) as viewer:
+        viewer.report("error", "the window was closed")
+        viewer.ready()
+        assert "view_17" in names(health)
+    assert names(health) == ["laser", "supervisor"]  # it said so
+    say(bus, "robot/view_18", 0, "showing")  # and this one is cut off without a word
+    say(bus, "robot/record_19", 0, "recording", leaving=1)
+    assert names(health) == ["laser", "supervisor", "view_18"]
+    later(monkeypatch, 10.0)
+    lines = {line.name: line for line in status_of("robot", health.vitals()).processes}
+    assert list(lines) == ["laser", "supervisor"]
+    assert [line.level for line in lines.values()] == ["stale", "stale"]
+
+
+def test_without_a_supervisor_silence_is_a_fault_of_everybody(bus, health, monkeypatch):
+    say(bus, "robot/laser", 0, "scanning")
+    later(monkeypatch, 10.0)
+    assert [line.level for line in status_of("robot", health.vitals()).processes] == ["stale"]
+
+
+def test_a_process_of_the_run_that_has_ended_stays_in_the_list(bus, health):
+    say(bus, "robot/supervisor", **{"child.player.state": "ended"})
+    say(bus, "robot/player", 0, "played", leaving=1)
+    assert names(health) == ["player", "supervisor"]
+
+
+def test_whoever_left_gives_way_to_whoever_comes(bus, health):
+    for number in range(256):
+        say(bus, f"robot/view_{number}", leaving=1)
+    say(bus, "robot/laser", 0, "scanning")
+    assert list(health.vitals()) == ["laser"]
+
+
+def names(health):
+    return [line.name for line in status_of("robot", health.vitals()).processes]
+
+
+def later(monkeypatch, seconds):
+    now = time.monotonic
+    monkeypatch.setattr("runtime.health.time.monotonic", lambda: now() + seconds)
