@@ -95,20 +95,46 @@ def search(
     Returns:
         None when no place of the window reaches `least_score`.
     """
+    places = search_all(
+        field, points, map_t_guess, reach_m, reach_rad, least_score, apart_m, apart_rad, most=2
+    )
+    if not places:
+        return None
+    return Search(places[0], places[1] if len(places) == 2 else None)
+
+
+def search_all(
+    field: Field,
+    points: NDArray[np.float64],
+    map_t_guess: Pose,
+    reach_m: float,
+    reach_rad: float,
+    least_score: float,
+    apart_m: float = 0.6,
+    apart_rad: float = 0.25,
+    most: int = 8,
+    least_share: float = 0.0,
+) -> list[Place]:
+    """Find the places of the window where the points fit, the best first.
+
+    Args:
+        field, points, map_t_guess, reach_m, reach_rad, least_score, apart_m, apart_rad: As of `search`.
+        most: So many places at most.
+        least_share: Places whose score is a smaller share of the best one's do not count.
+    """
     cloud = np.ascontiguousarray(points, dtype=np.float64)
     farthest = float(np.sqrt((cloud**2).sum(axis=1).max()))
     turn = field.resolution_m / max(farthest, 1.0)
     steps = int(np.ceil(reach_rad / turn))
     cells = int(np.ceil(reach_m / field.resolution_m))
-    found = np.zeros(4)
-    nowhere = np.full(3, np.inf)
     fixed = (field.levels, field.origin_m[0], field.origin_m[1], field.resolution_m, cloud)
     window = (np.asarray(map_t_guess, dtype=np.float64), turn, steps, cells)
-    if not kernels.branch_and_bound(*fixed, *window, least_score, nowhere, apart_m, apart_rad, found):
-        return None
-    best = Place(found[:3].copy(), float(found[3]))
-    if not kernels.branch_and_bound(
-        *fixed, *window, least_score, best.map_t_points, apart_m, apart_rad, found
-    ):
-        return Search(best, None)
-    return Search(best, Place(found[:3].copy(), float(found[3])))
+    places: list[Place] = []
+    while len(places) < most:
+        shunned = np.array([place.map_t_points for place in places]).reshape(-1, 3)
+        least = max(least_score, least_share * places[0].score) if places else least_score
+        found = np.zeros(4)
+        if not kernels.branch_and_bound(*fixed, *window, least, shunned, apart_m, apart_rad, found):
+            break
+        places.append(Place(found[:3].copy(), float(found[3])))
+    return places

@@ -65,15 +65,19 @@ def bound_at(levels, level, cells, shift_col, shift_row):
     return total / cells.shape[0]
 
 
-@njit("b1(f8, f8, f8, f8[::1], f8, f8)", cache=True, nogil=True)
-def neighbours(x, y, yaw, place, apart_m, apart_rad):
-    """Whether a pose belongs to the same place as another."""
-    turn = (yaw - place[2] + np.pi) % (2.0 * np.pi) - np.pi
-    return (x - place[0]) ** 2 + (y - place[1]) ** 2 < apart_m * apart_m and abs(turn) < apart_rad
+@njit("b1(f8, f8, f8, f8[:,::1], f8, f8)", cache=True, nogil=True)
+def neighbours(x, y, yaw, places, apart_m, apart_rad):
+    """Whether a pose belongs to the same place as one of others (M, 3)."""
+    for i in range(places.shape[0]):
+        turn = (yaw - places[i, 2] + np.pi) % (2.0 * np.pi) - np.pi
+        off2 = (x - places[i, 0]) ** 2 + (y - places[i, 1]) ** 2
+        if off2 < apart_m * apart_m and abs(turn) < apart_rad:
+            return True
+    return False
 
 
 @njit(
-    "b1(f4[:,:,::1], f8, f8, f8, f8[:,::1], f8[::1], f8, i8, i8, f8, f8[::1], f8, f8, f8[::1])",
+    "b1(f4[:,:,::1], f8, f8, f8, f8[:,::1], f8[::1], f8, i8, i8, f8, f8[:,::1], f8, f8, f8[::1])",
     cache=True,
     nogil=True,
 )
@@ -83,7 +87,7 @@ def branch_and_bound(
     """Write the best (x, y, yaw, score) of the window into `found`; False when nothing passes `least`.
 
     Rotations are walked from the guess outwards; for each, the translations are a tree of squares whose
-    bound is the pyramid. Places that neighbour `shunned` are passed over.
+    bound is the pyramid. Places that neighbour one of `shunned` (M, 3) are passed over.
     """
     count = points.shape[0]
     top = levels.shape[0] - 1
