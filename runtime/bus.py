@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Protocol, SupportsBytes
 
 from runtime.messages import Attachment
+from runtime.topics import Urgency
 
 _MAX_PUBLISHERS = 64  # remembered by a mailbox; a flood of new publishers must not grow it
 
@@ -101,7 +102,7 @@ class Bus(Protocol):
     def zid(self) -> str:
         """The name of this session, unique on the bus."""
 
-    def publisher(self, key: str, *, latched: bool = False) -> Publisher:
+    def publisher(self, key: str, *, latched: bool = False, urgency: Urgency = Urgency.DATA) -> Publisher:
         """Declare a writer; a latched one hands its last message to latched subscribers that come late."""
 
     def subscribe(self, key: str, on: Callable[[Arrival], None], *, latched: bool = False) -> Handle:
@@ -119,7 +120,14 @@ class Bus(Protocol):
     def answer(self, key: str, reply: Callable[[bytes], bytes]) -> Handle:
         """Answer questions on a key."""
 
-    def ask(self, key: str, payload: bytes = b"", timeout_s: float = 1.0) -> list[bytes]:
+    def ask(
+        self,
+        key: str,
+        payload: bytes = b"",
+        timeout_s: float = 1.0,
+        *,
+        urgency: Urgency = Urgency.DATA,
+    ) -> list[bytes]:
         """Ask a question; return the answers that came in time."""
 
     def close(self) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 from runtime.bus import Arrival, Handle, Publisher
 from runtime.messages import Attachment
+from runtime.topics import Urgency
 
 
 def key_matches(pattern: str, key: str) -> bool:
@@ -104,7 +105,7 @@ class MemoryBus:
         """See Bus.zid."""
         return self._zid
 
-    def publisher(self, key: str, *, latched: bool = False) -> Publisher:
+    def publisher(self, key: str, *, latched: bool = False, urgency: Urgency = Urgency.DATA) -> Publisher:
         """See Bus.publisher."""
         declared = _MemoryPublisher(self._network, key, latched)
         self._declared.append(declared)
@@ -150,7 +151,14 @@ class MemoryBus:
         """See Bus.answer."""
         return self._enter(self._network.answerers, (key, reply))
 
-    def ask(self, key: str, payload: bytes = b"", timeout_s: float = 1.0) -> list[bytes]:
+    def ask(
+        self,
+        key: str,
+        payload: bytes = b"",
+        timeout_s: float = 1.0,
+        *,
+        urgency: Urgency = Urgency.DATA,
+    ) -> list[bytes]:
         """See Bus.ask."""
         with self._network.lock:
             answerers = list(self._network.answerers.values())

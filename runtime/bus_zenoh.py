@@ -16,6 +16,15 @@ from zenoh import ext, handlers
 from runtime.bus import Arrival, Handle, Publisher
 from runtime.errors import HallwayError
 from runtime.messages import Attachment
+from runtime.topics import Urgency
+
+_PRIORITIES = {
+    Urgency.COMMAND: zenoh.Priority.REAL_TIME,
+    Urgency.WHERE: zenoh.Priority.DATA_HIGH,
+    Urgency.DATA: zenoh.Priority.DATA,
+    Urgency.DETAIL: zenoh.Priority.DATA_LOW,
+    Urgency.BULK: zenoh.Priority.BACKGROUND,
+}
 
 
 class BusError(HallwayError):
@@ -82,17 +91,21 @@ class ZenohBus:
         """See Bus.zid."""
         return self._zid
 
-    def publisher(self, key: str, *, latched: bool = False) -> Publisher:
+    def publisher(self, key: str, *, latched: bool = False, urgency: Urgency = Urgency.DATA) -> Publisher:
         """See Bus.publisher."""
-        drop = zenoh.CongestionControl.DROP
+        manners: dict[str, Any] = {
+            "congestion_control": zenoh.CongestionControl.DROP,
+            "priority": _PRIORITIES[urgency],
+            "express": urgency is Urgency.COMMAND,
+        }
         if not latched:
-            return self._kept(_Publisher(self._session.declare_publisher(key, congestion_control=drop)))
+            return self._kept(_Publisher(self._session.declare_publisher(key, **manners)))
         return self._kept(
             _Publisher(
                 ext.declare_advanced_publisher(
                     self._session,
                     key,
-                    congestion_control=drop,
+                    **manners,
                     cache=ext.CacheConfig(max_samples=1),
                     publisher_detection=True,
                     sample_miss_detection=ext.MissDetectionConfig(heartbeat=1.0, sporadic_heartbeat=None),
@@ -150,9 +163,27 @@ class ZenohBus:
         direct: Any = handlers.Callback(respond, indirect=False)
         return self._kept(_Declared(self._session.declare_queryable(key, direct)))
 
-    def ask(self, key: str, payload: bytes = b"", timeout_s: float = 1.0) -> list[bytes]:
+    def ask(
+        self,
+        key: str,
+        payload: bytes = b"",
+        timeout_s: float = 1.0,
+        *,
+        urgency: Urgency = Urgency.DATA,
+    ) -> list[bytes]:
         """See Bus.ask."""
-        replies: Any = self._session.get(key, payload=payload, timeout=timeout_s)
+        try:
+            # The answer has the manners of the question: it never waits for a slow asker, who would hold
+            # up everybody else's messages.
+            replies: Any = self._session.get(
+                key,
+                payload=payload,
+                timeout=timeout_s,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=_PRIORITIES[urgency],
+            )
+        except zenoh.ZError:
+            return []  # the session is closed: nobody answers
         return [reply.ok.payload.to_bytes() for reply in replies if reply.ok]
 
     def _kept(self, declared: _D) -> _D:

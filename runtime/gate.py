@@ -121,5 +121,10 @@ def visit(robot: str) -> dict[str, Any]:
     return links.visitor(rundir.running(robot))
 
 
+def is_guest(session: dict[str, Any]) -> bool:
+    """Whether a session leads over a network."""
+    return any(endpoint.startswith("tls/") for endpoint in session["connect"]["endpoints"])
+
+
 def _base64(text: str) -> str:
     return base64.b64encode(text.encode()).decode()

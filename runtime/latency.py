@@ -81,12 +81,12 @@ class Journeys:
     _under_way: OrderedDict[int, _Passage] = field(default_factory=OrderedDict)
 
     def see(self, received: Received) -> None:
-        """Take note of a message on `scan`, `odom`, `pose` or `map`."""
+        """Take note of a message on `scan`, `odom`, `pose`, `map` or `map_updates`."""
         stamp_ns = peek_stamp_ns(received.payload)
         if stamp_ns is None or not received.published_ns:
             return
         published_ns = received.published_ns
-        if received.topic == "map":
+        if received.topic in ("map", "map_updates"):
             self._add("grid", published_ns - stamp_ns)
             return
         passage = self._under_way.get(stamp_ns)

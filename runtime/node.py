@@ -19,7 +19,9 @@ from runtime.clock import Clock
 from runtime.health import LEAVING
 from runtime.inbox import Inbox
 from runtime.messages import DiagnosticArray, DiagnosticStatus, KeyValue
+from runtime.offset import question_key
 from runtime.port import Level, Subscription
+from runtime.pulling import Puller
 from runtime.topics import Topic
 from runtime.topics import topic as topic_named
 
@@ -33,7 +35,7 @@ class _Outlet:
 
     def __init__(self, bus: Bus, key: str, topic: Topic, clock: Clock) -> None:
         self.topic = topic
-        self.publisher: Publisher = bus.publisher(key, latched=topic.latched)
+        self.publisher: Publisher = bus.publisher(key, latched=topic.latched, urgency=topic.urgency)
         self.published = 0
         self._gid = os.urandom(16)
         self._clock = clock
@@ -62,6 +64,7 @@ class BusPort:
         clock: Clock | None = None,
         run_dir: Path = Path(),
         results_dir: Path | None = None,
+        guest: bool = False,
     ) -> None:
         self.name, self.robot, self.domain, self.seed = name, robot, domain, seed
         self.clock = clock or Clock.from_environment()
@@ -73,6 +76,8 @@ class BusPort:
         )
         self._open_bus = open_bus
         self._bus: Bus | None = None
+        self._guest = guest
+        self._puller: Puller | None = None
         self._opening = threading.RLock()
         self._outlets: dict[str, _Outlet] = {}
         self._inboxes: list[Inbox] = []
@@ -102,9 +107,14 @@ class BusPort:
             raise ValueError(f"{self.name}: subscribes {row.name!r}, which is not in its SUBSCRIBES")
         inbox = Inbox(row, self.clock, lambda: self.stopping, keep=keep, raw=raw)
         bus = self._connected()
+        self._inboxes.append(inbox)
+        if self._guest and row.name in ("map", "map_updates"):
+            # Over a network the map comes as tiles, at the pace of the link, and never in one piece.
+            if row.name == "map":
+                self._puller = Puller(bus, self.robot, self._key(row), inbox.mailbox.put)
+            return inbox
         bus.subscribe(self._key(row), inbox.mailbox.put, latched=row.latched)
         self._declare_endpoint(bus, "MS", row)
-        self._inboxes.append(inbox)
         return inbox
 
     def publish(self, topic: str, message: Any) -> None:
@@ -118,6 +128,10 @@ class BusPort:
         if outlet is None:
             raise ValueError(f"{self.name}: publishes {topic!r}, which is not in its PUBLISHES")
         outlet.put(payload)
+
+    def answer(self, name: str, reply: Callable[[bytes], bytes]) -> None:
+        """See Port.answer."""
+        self._connected().answer(question_key(self.robot, name), reply)
 
     def report(self, level: Level, text: str, **values: object) -> None:
         """See Port.report."""
@@ -181,6 +195,9 @@ class BusPort:
             values[f"{inbox.topic.name}.worst_work_ms"] = f"{inbox.worst_work_ns / 1e6:.1f}"
         for outlet in self._outlets.values():
             values[f"{outlet.topic.name}.published"] = outlet.published
+        if self._puller is not None:
+            values["map.pulled_bytes"] = self._puller.bytes_received
+            values["map.damaged_answers"] = self._puller.answers_damaged
         values |= self._counters
         values["loop_age_s"] = f"{time.monotonic() - self._turned_monotonic:.1f}"
         values |= self._usage.values()
@@ -192,6 +209,8 @@ class BusPort:
         self._closing.set()
         if self._beating is not None:
             self._beating.join()
+        if self._puller is not None:
+            self._puller.close()
         if self._bus is not None:
             self.beat(leaving=True)
             self._bus.close()

@@ -23,9 +23,14 @@ class Offset:
         return f"{self.offset_ns / 1e6:+.3f} ms, to {self.round_trip_ns / 2e6:.3f} ms"
 
 
+def question_key(robot: str, name: str) -> str:
+    """Return where a robot answers questions of a name."""
+    return f"hallway/{robot}/{name}"
+
+
 def key(robot: str) -> str:
     """Return where a robot tells its time."""
-    return f"hallway/{robot}/clock"
+    return question_key(robot, "clock")
 
 
 def tell_time(bus: Bus, robot: str, clock: Clock) -> Handle:

@@ -5,6 +5,7 @@ messages to a node and keeps what it said, without threads or waiting.
 """
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -93,6 +94,9 @@ class Port(Protocol):
     def publish_raw(self, topic: str, payload: bytes) -> None:
         """Send a message that is CDR already."""
 
+    def answer(self, name: str, reply: Callable[[bytes], bytes]) -> None:
+        """Answer questions on `hallway/<robot>/<name>`, from another thread; bulk, that nothing waits for."""
+
     def report(self, level: Level, text: str, **values: object) -> None:
         """Say how the node is; published at 1 Hz, and at once when the level changes."""
 
@@ -162,6 +166,7 @@ class ListPort:
         self.published: list[tuple[str, Any]] = []
         self.reports: list[tuple[Level, str, dict[str, object]]] = []
         self.counters: dict[str, int] = {}
+        self.answers: dict[str, Callable[[bytes], bytes]] = {}
         self.is_ready = False
         self.idle_waits = 0
         self.sequences = dict(sequences or {})
@@ -187,6 +192,10 @@ class ListPort:
     def publish_raw(self, topic: str, payload: bytes) -> None:
         """See Port.publish_raw."""
         self.published.append((topic_named(topic).name, payload))
+
+    def answer(self, name: str, reply: Callable[[bytes], bytes]) -> None:
+        """See Port.answer."""
+        self.answers[name] = reply
 
     def report(self, level: Level, text: str, **values: object) -> None:
         """See Port.report."""

@@ -3,6 +3,7 @@
 One publisher for each topic, except the shared ones, on which every process speaks.
 """
 
+import enum
 from dataclasses import dataclass
 
 from runtime.errors import ConfigError
@@ -11,6 +12,20 @@ NEWEST = 1
 """A subscription that works on the present: what was not taken in time is overwritten, and counted."""
 ALL = 256
 """A subscription that wants everything: a bounded queue; when full the oldest is dropped, and counted."""
+
+
+class Urgency(enum.IntEnum):
+    """What goes first where a link is slow; the greater waits for the smaller."""
+
+    COMMAND = 1
+    """Moves or stops the robot: before everything, and sent without waiting for company."""
+    WHERE = 2
+    """Where the robot is, in a few hundred bytes."""
+    DATA = 3
+    DETAIL = 4
+    """Nice to look at."""
+    BULK = 5
+    """Large; comes again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +43,7 @@ class Topic:
     shared: bool = False
     """Whether several processes may publish it."""
     recorded: bool = True
+    urgency: Urgency = Urgency.DATA
 
     @property
     def period_ns(self) -> int:
@@ -39,17 +55,17 @@ TOPICS: dict[str, Topic] = {
     topic.name: topic
     for topic in (
         Topic("scan", "sensor_msgs/msg/LaserScan", 10.0),
-        Topic("odom", "nav_msgs/msg/Odometry", 10.0, keep=64),
-        Topic("match_points", "sensor_msgs/msg/PointCloud2", 10.0),
-        Topic("pose", "geometry_msgs/msg/PoseWithCovarianceStamped", 10.0),
-        Topic("map", "nav_msgs/msg/OccupancyGrid", 0.0, latched=True),
-        Topic("map_updates", "map_msgs/msg/OccupancyGridUpdate", 0.0, keep=ALL),
-        Topic("particles", "geometry_msgs/msg/PoseArray", 0.0),
-        Topic("trajectory", "nav_msgs/msg/Path", 0.0, latched=True),
-        Topic("tf", "tf2_msgs/msg/TFMessage", 20.0, keep=ALL, shared=True),
-        Topic("cmd_vel", "geometry_msgs/msg/TwistStamped", 0.0),
+        Topic("odom", "nav_msgs/msg/Odometry", 10.0, keep=64, urgency=Urgency.WHERE),
+        Topic("match_points", "sensor_msgs/msg/PointCloud2", 10.0, urgency=Urgency.DETAIL),
+        Topic("pose", "geometry_msgs/msg/PoseWithCovarianceStamped", 10.0, urgency=Urgency.WHERE),
+        Topic("map", "nav_msgs/msg/OccupancyGrid", 0.0, latched=True, urgency=Urgency.BULK),
+        Topic("map_updates", "map_msgs/msg/OccupancyGridUpdate", 0.0, keep=ALL, urgency=Urgency.BULK),
+        Topic("particles", "geometry_msgs/msg/PoseArray", 0.0, urgency=Urgency.DETAIL),
+        Topic("trajectory", "nav_msgs/msg/Path", 0.0, latched=True, urgency=Urgency.BULK),
+        Topic("tf", "tf2_msgs/msg/TFMessage", 20.0, keep=ALL, shared=True, urgency=Urgency.WHERE),
+        Topic("cmd_vel", "geometry_msgs/msg/TwistStamped", 0.0, urgency=Urgency.COMMAND),
         Topic("battery", "sensor_msgs/msg/BatteryState", 1.0),
-        Topic("bumper", "std_msgs/msg/UInt8", 0.0, keep=ALL),
+        Topic("bumper", "std_msgs/msg/UInt8", 0.0, keep=ALL, urgency=Urgency.WHERE),
         Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 1.0, keep=ALL, shared=True),
         Topic("truth", "geometry_msgs/msg/PoseStamped", 10.0),
         Topic("clock", "rosgraph_msgs/msg/Clock", 0.0, recorded=False),

@@ -48,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
     port = BusPort(
         f"record_{os.getpid()}",
         lambda: ZenohBus(session),
+        guest=gate.is_guest(session),
         subscribes=recorder.SUBSCRIBES,
         robot=args.robot,
         run_dir=rundir.run_dir(args.robot),

@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show_robot(args: argparse.Namespace, config: "Config", folder: Path, asked: list[int]) -> int:
-    from runtime import rundir
+    from runtime import gate, rundir
     from runtime.bus_zenoh import ZenohBus
     from runtime.node import BusPort
     from runtime.nodes import viewer
@@ -87,6 +87,7 @@ def _show_robot(args: argparse.Namespace, config: "Config", folder: Path, asked:
     port = RobotPort(
         f"view_{os.getpid()}",
         lambda: ZenohBus(session),
+        guest=gate.is_guest(session),
         subscribes=SUBSCRIBES,
         robot=args.robot,
         domain=args.domain,

@@ -25,12 +25,13 @@ from runtime.nodes.convert import (
     scan_from_message,
     transform_to_message,
 )
+from runtime.nodes.map_teller import MapTeller
 from runtime.nodes.matcher import rehearsal
 from runtime.port import Port, Subscription
 from runtime.results import RunResult, provenance, save
 
 SUBSCRIBES: tuple[str, ...] = ("scan", "odom")
-PUBLISHES: tuple[str, ...] = ("pose", "map", "particles", "trajectory", "tf")
+PUBLISHES: tuple[str, ...] = ("pose", "map", "map_updates", "particles", "trajectory", "tf")
 
 _WAIT_S = 0.1
 _SCAN_WAIT_S = 0.05
@@ -38,7 +39,6 @@ KEEP_SCANS = 64
 """As many scans as motions may wait, so that each motion still finds its scan."""
 LATE_SCANS = 20
 """Motions waiting from which on scans are left out: two seconds behind the laser."""
-PATH_POSES = 2000
 CHECKPOINT_NS = 2_000_000_000
 """So much of the drive at most is missing in the map of a mapper that was killed."""
 
@@ -154,8 +154,8 @@ class _Mapper:
         if self._resumed:
             port.count("resumptions")
             port.log.warning("goes on with the map of the process before it, %d scans", len(self._odometry))
-        self._changed = False
-        self._mapped_ns = 0
+        self._teller = MapTeller(port, config.map_period_s)
+        self._teller.changed = self._resumed  # what the process before it had published went with it
 
     def take(self, scan: Scan, motion: Motion) -> None:
         """Work one scan in and say where the laser is."""
@@ -169,7 +169,7 @@ class _Mapper:
             return
         self._odometry.append(motion.odom_t_laser)
         self._stamp_ns = scan.stamp_ns
-        self._changed = self._changed or step.updated
+        self._teller.changed |= step.updated
         self._publish(step, motion)
 
     def _over_the_gap(self, scan: Scan, motion: Motion) -> Motion:
@@ -206,30 +206,7 @@ class _Mapper:
 
     def tell(self) -> None:
         """Publish map and trajectory, if they changed and it is time."""
-        now_ns = self._port.clock.now_ns()
-        if not self._changed or now_ns - self._mapped_ns < self._config.map_period_s * 1e9:
-            return
-        self._changed, self._mapped_ns = False, now_ns
-        header = messages.header(self._stamp_ns, "map")
-        grid = self._filter.occupancy()
-        rows, cols = grid.probability.shape
-        info = messages.MapMetaData(
-            map_load_time=header.stamp,
-            resolution=grid.resolution_m,
-            width=cols,
-            height=rows,
-            origin=pose_to_message(np.array((*grid.origin_m, 0.0))),
-        )
-        self._port.publish(
-            "map", messages.OccupancyGrid(header=header, info=info, data=grid.percent().reshape(-1))
-        )
-        stamps_ns, path = self._filter.trajectory()
-        every = max(1, len(path) // PATH_POSES)
-        poses = [
-            messages.PoseStamped(header=messages.header(int(stamp), "map"), pose=pose_to_message(pose))
-            for stamp, pose in zip(stamps_ns[::every], path[::every], strict=True)
-        ]
-        self._port.publish("trajectory", messages.Path(header=header, poses=poses))
+        self._teller.tell(self._filter, self._stamp_ns)
 
     def save(self) -> None:
         """Write the results folder of this run, if anybody wants one and there is something in it."""

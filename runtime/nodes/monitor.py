@@ -14,7 +14,7 @@ from runtime.latency import Journeys, Rate
 from runtime.port import Port, Received
 from runtime.topics import topic
 
-SUBSCRIBES = ("scan", "odom", "pose", "map")
+SUBSCRIBES = ("scan", "odom", "pose", "map", "map_updates")
 PUBLISHES = ()
 
 _TURN_S = 0.05

@@ -18,8 +18,11 @@ from runtime import keys
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT, LAPTOP = "10.77.31.1", "10.77.31.2"
 
+KNOWN_CELLS = 400 * 400
+
 ROBOT_SIDE = """
     import contextlib, json, subprocess, sys, threading, time
+    import numpy as np
     from pathlib import Path
     from runtime import links
     from runtime.bus import Mailbox
@@ -27,6 +30,7 @@ ROBOT_SIDE = """
     from runtime.clock import Clock
     from runtime.node import BusPort
     from runtime.offset import tell_time
+    from runtime.tiles import Tiles
     from runtime.topics import topic
     run_dir, address = Path(sys.argv[1]), sys.argv[2]
     hub = [sys.executable, "-m", "runtime.hub", "--run-dir", str(run_dir), "--remote", f"{address}:7448"]
@@ -40,6 +44,10 @@ ROBOT_SIDE = """
             port.ready()
             tell_time(peer, "robot", Clock())
             secret = peer.publisher("0/other/secret")
+            tiles = Tiles(250_000)
+            cells = np.random.default_rng(1).integers(0, 101, (400, 400))
+            tiles.take(cells.astype(np.int8), 0.05, (0.0, 0.0), 5, 6)
+            port.answer("map", tiles.answer)
             port.publish_raw("map", bytes(1_000_000))
             stop = threading.Event()
             threading.Thread(target=lambda: (sys.stdin.readline(), stop.set()), daemon=True).start()
@@ -57,12 +65,13 @@ GUEST_SIDE = """
     from runtime.bus_zenoh import BusError, ZenohBus
     from runtime.clock import Clock
     from runtime.offset import measured
+    from runtime.pulling import Puller
     from runtime.topics import topic
     def key(name): return messages.topic_key(f"robot/{name}", topic(name).type)
     config = gate.visit("robot")
-    config["mode"] = sys.argv[1]
-    if len(sys.argv) > 2:
-        config["connect"]["endpoints"] = [sys.argv[2]]
+    config["mode"] = sys.argv[2]
+    if len(sys.argv) > 3:
+        config["connect"]["endpoints"] = [sys.argv[3]]
         config["transport"]["link"].pop("tls", None)
     try:
         bus = ZenohBus(config)
@@ -74,17 +83,27 @@ GUEST_SIDE = """
         bus.subscribe(key("scan"), boxes["scan"].put)
         bus.subscribe(key("map"), boxes["map"].put, latched=True)
         bus.subscribe("0/other/**", boxes["secret"].put)
+        boxes["tiles"] = Mailbox(64)
+        puller = Puller(bus, "robot", key("map"), boxes["tiles"].put)
         stick = bus.publisher(key("cmd_vel"))
         wait_matching(stick, 1.0)
         for sequence in range(1, 21):
             stick.put(bytes(60), messages.Attachment(sequence, 0, bytes(16)).encode())
             time.sleep(0.1)
         offset = measured(bus, "robot", Clock())
+        end = time.monotonic() + (20 if boxes["scan"].received else 0)
+        known = 0
+        while known < int(sys.argv[1]) and time.monotonic() < end:
+            if (arrival := boxes["tiles"].take(0.1)) is not None:
+                picture = messages.decode(bytes(arrival.payload), topic("map").type)
+                known = int((picture.data >= 0).sum())
+        puller.close()
         nodes = [messages.node_of_token(t) for t in bus.tokens("@ros2_lv/0/**")]
         print(json.dumps({
             "refused": "", "scans": boxes["scan"].received, "secrets": boxes["secret"].received,
             "map_bytes": max((len(bytes(a.payload)) for a in boxes["map"].take_all()), default=0),
             "nodes": [n for n in nodes if n], "offset_ms": offset and offset.offset_ns / 1e6,
+            "known_cells": known,
         }))
 """
 
@@ -176,6 +195,7 @@ class Robot:
                 sys.executable,
                 "-c",
                 textwrap.dedent(GUEST_SIDE),
+                str(KNOWN_CELLS),
                 mode,
                 *([endpoint] if endpoint else []),
             ],
@@ -207,6 +227,7 @@ def test_a_viewer_sees_everything_of_its_robot_and_drives_nothing(robot):
         seen = robot.guest("anna")
         assert seen["scans"] > 50
         assert seen["map_bytes"] == 1_000_000
+        assert seen["known_cells"] == KNOWN_CELLS
         assert seen["nodes"] == ["base"]
         assert seen["secrets"] == 0
         assert abs(seen["offset_ms"]) < 50  # one machine, two clocks of it
@@ -244,6 +265,7 @@ def test_who_was_struck_off_the_list_sees_and_moves_nothing(robot, tmp_path, mon
     with robot:
         seen = robot.guest("olga")
         assert (seen["scans"], seen["map_bytes"], seen["nodes"], seen["offset_ms"]) == (0, 0, [], None)
+        assert seen["known_cells"] == 0
         assert robot.guest("anna")["scans"] > 50
         assert robot.commands() == 0
 
