@@ -17,9 +17,6 @@ if TYPE_CHECKING:
 
 _TURN_S = 0.05
 _NOTIFY_S = 0.5
-_PATIENCE_S = 4.0
-# What a check that compiles comes to last: begun beside it, for the second core.
-_LAST_COMPILED = (sys.executable, "-c", "import processing.dpslam.kernels")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -126,6 +123,7 @@ def _has_screen() -> bool:
 
 def _check(file: Path, headless: bool) -> dict[str, Any]:
     """Check every node in a process of its own: the modules are heavy, and this one stays light."""
+    from runtime.cli.compiling import compile_all
     from runtime.clock import Clock
     from runtime.errors import ConfigError, HallwayError
     from runtime.supervisor import child_environment
@@ -134,17 +132,11 @@ def _check(file: Path, headless: bool) -> dict[str, Any]:
     if headless:
         command.append("--headless")
     environment = child_environment(Clock())
-    pipe = subprocess.PIPE
-    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=environment) as check:
-        try:
-            out, err = check.communicate(timeout=_PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            print("checking, and compiling what was never compiled on this machine ...", file=sys.stderr)
-            with subprocess.Popen(_LAST_COMPILED, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL):
-                out, err = check.communicate()
+    compile_all(environment, lambda line: print(line, file=sys.stderr, flush=True))
+    check = subprocess.run(command, capture_output=True, text=True, env=environment)
     if check.returncode == 0:
-        return dict(json.loads(out))
-    lines = err.strip().splitlines() or [f"exit code {check.returncode}"]
+        return dict(json.loads(check.stdout))
+    lines = check.stderr.strip().splitlines() or [f"exit code {check.returncode}"]
     if check.returncode == ConfigError.exit_code:
         raise ConfigError(lines[-1])
     raise HallwayError(f"{file}: the check failed: {lines[-1]}")

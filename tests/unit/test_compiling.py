@@ -1,0 +1,54 @@
+"""The list of what is compiled first is whole, and the work is dealt out evenly."""
+
+import os
+from pathlib import Path
+
+from runtime.cli import compiling
+
+PROCESSING = Path(__file__).parents[2] / "processing"
+ON_DEMAND = {"sharpness"}  # of `hallway evaluate` only
+
+
+def test_every_module_with_compiled_loops_is_compiled_before_a_start():
+    written = {
+        ".".join(file.relative_to(PROCESSING).with_suffix("").parts)
+        for file in PROCESSING.rglob("*.py")
+        if "@njit" in file.read_text()
+    }
+    listed = [module for _, chain in compiling.CHAINS for module in chain]
+    assert sorted(listed) == sorted(written - ON_DEMAND)
+
+
+def test_a_chain_stays_together_and_the_longest_have_a_worker_each():
+    chains = [(1.0, ("a",)), (5.0, ("b", "c")), (3.0, ("d",)), (1.5, ("e",))]
+    assert compiling.share(chains, 2) == [
+        ["processing.b", "processing.c"],
+        ["processing.d", "processing.e", "processing.a"],
+    ]
+    assert len(compiling.share(chains, 16)) == 4
+
+
+def test_loops_are_compiled_where_the_processes_look_for_them_and_only_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(compiling, "CHAINS", ((1.0, ("evolution_kernels",)),))
+    monkeypatch.setattr(compiling.importlib.util, "find_spec", lambda name: _Spec(tmp_path / name))
+    copy = tmp_path / "processing"
+    copy.mkdir()
+    for name in ("__init__.py", "evolution_kernels.py"):
+        (copy / name).write_bytes((PROCESSING / name).read_bytes())
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    said = []
+
+    def times_compiled():
+        compiling.compile_all(environment, said.append)
+        return sum(line.startswith("compiling") for line in said)
+
+    assert times_compiled() == 1
+    assert any((tmp_path / "cache").rglob("evolution_kernels.*.nbi"))
+    assert times_compiled() == 1
+    os.utime(copy / "evolution_kernels.py")  # as an upgrade does
+    assert times_compiled() == 2
+
+
+class _Spec:
+    def __init__(self, place):
+        self.submodule_search_locations = [str(place)]
