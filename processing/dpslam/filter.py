@@ -72,6 +72,8 @@ class DpSlam:
         self._covariance = np.zeros((3, 3))
         self._search: Search | None = None
         self._strange = True
+        self.fixed = False
+        """Whether the maps stay as they are: the laser is followed on them, and nothing is written."""
 
     def step(self, scan: Scan, motion: Motion) -> MapStep:
         """Take one scan and the motion that leads to it.
@@ -137,6 +139,8 @@ class DpSlam:
     def _write(self, sweep: Sweep, key_t_laser: Pose, covariance: Matrix) -> bool:
         """Write a key scan into all maps; return whether that closed a loop."""
         people = self.population
+        if self.fixed:
+            sweep = NOTHING_SEEN
         people.write(sweep.rays)
         replaced = self._scans.add(sweep, people.poses[people.best])
         self._trail.mark_key()
@@ -175,6 +179,7 @@ class DpSlam:
             "covariance": self._covariance.copy(),
             "particles": np.array(self.config.particles),
             "strange": np.array(self._strange),
+            "fixed": np.array(self.fixed),
         }
         if self._search is not None:
             parts["search"] = self._search.state()
@@ -212,6 +217,7 @@ class DpSlam:
             slam.loops.restore(part("loops"))
         slam._key_odom, slam._odom = state["key_odom_t_laser"].copy(), state["odom_t_laser"].copy()
         slam._covariance, slam._strange = state["covariance"].copy(), bool(state["strange"])
+        slam.fixed = bool(state["fixed"])
         if searched := part("search"):
             slam._search = Search.from_state(searched)
         if "beams" in state:

@@ -99,7 +99,7 @@ def relocate(
     if found is None:
         return NOWHERE
     places = [found.best] if found.rival is None else [found.best, found.rival]
-    poses = [_polished(store, particle, place.map_t_points, query) for place in places]
+    poses = [polished(store, particle, place.map_t_points, query) for place in places]
     likely = [_per_ray(store, particle, pose, rays) for pose in poses]
     best = int(np.argmax(likely))
     if likely[best] < LEAST_RAY:
@@ -109,7 +109,7 @@ def relocate(
     return Relocation(answer, tuple(poses[k] for k in equal), tuple(places[k].score for k in equal))
 
 
-def _polished(store: TileStore, particle: int, guess: Pose, points: NDArray[np.float64]) -> Pose:
+def polished(store: TileStore, particle: int, guess: Pose, points: NDArray[np.float64]) -> Pose:
     """Lay the points on the map as a particle is refined, from the place that the search found."""
     pose, information, result = np.empty(3), np.empty((3, 3)), np.empty(2)
     prior = np.diag(1.0 / GRAIN**2)

@@ -1,0 +1,176 @@
+"""Where on a saved map did this drive begin? The last metres of the drive are searched over the whole map.
+
+A drive maps itself until it is found; what it has seen on its last metres, laid together along its own path,
+is the question. End points name the places (branch and bound over everything), rays from several key scans
+judge between them. One place is believed when it is far better than all others and the next look says the
+same; where two are as good, both are named, and the question grows with the drive.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from processing import se2, wide_match
+from processing.dpslam.grid import TileStore
+from processing.dpslam.laser_model import judge_rays, place_rays
+from processing.dpslam.relocation import (
+    CELL_FIT_M,
+    FIT_M,
+    NOWHERE,
+    RAYS,
+    TEMPERING,
+    Relocation,
+    polished,
+    walls_of,
+)
+from processing.dpslam.sweep import Sweep
+from processing.se2 import Pose
+
+EVERY_M = 0.4
+"""Way between two looks, or"""
+EVERY_RAD = 0.7
+"""turning."""
+STRETCH_M = 12.0
+"""Way whose points are laid together, at most."""
+SIGHT_M = 10.0
+"""Points farther from the newest place are left out: the step of the search in rotation falls with them."""
+QUERY_POINTS = 300
+GRAIN_M = 0.1
+LEAST_POINTS = 40
+LEAST_FIT = 0.6
+"""Share of the points that must find their wall."""
+LEAST_SHARE = 0.75
+"""Places that fit so much worse than the best one are not judged."""
+MOST_PLACES = 8
+LEAST_RAY = -1.8
+"""Least mean log-likelihood of a ray that ends where the map knows something."""
+LEAST_KNOWN = 0.6
+"""Share of the rays that must end there."""
+STRANGE_RAY = -3.0
+"""What a ray counts that ends where the map knows nothing."""
+JUDGES = 6
+"""Key scans whose rays judge, evenly over the stretch."""
+EQUAL = 5.0
+"""Places whose log-likelihoods, tempered, differ by less fit equally: e^5 is 150 to 1."""
+AGREE = np.array((0.3, 0.3, 0.1))
+"""Two looks that say the same differ by less; m, m, rad."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Glimpse:
+    """One key scan of the drive that looks for itself."""
+
+    points: NDArray[np.float64]
+    """(N, 2) m, laser frame."""
+    rays: NDArray[np.float64]
+    """(M, 4) thinned, laser frame."""
+
+
+class Finder:
+    """Looks for a drive on one particle's map, which does not change meanwhile."""
+
+    def __init__(self, store: TileStore, particle: int) -> None:
+        self._store, self._particle = store, particle
+        walls = walls_of(store, particle)
+        self._field = None
+        if len(walls) >= LEAST_POINTS:
+            self._field = wide_match.build_field(walls, CELL_FIT_M, FIT_M, 0.5)
+            low, high = walls.min(axis=0), walls.max(axis=0)
+            self._middle = np.array((*((low + high) / 2.0), 0.0))
+            self._reach_m = float((high - low).max()) / 2.0
+        self._glimpses: list[Glimpse] = []
+        self._looked_at: Pose | None = None
+        self._before: Pose | None = None
+        self.looks = 0
+        """How often the map was searched."""
+        self.equals = 0
+        """How often more than one place fitted."""
+        self.found: Relocation = NOWHERE
+        """What the last look found; a single place only when it was believed."""
+
+    def take(self, path: Pose, sweep: Sweep) -> Relocation:
+        """Take the next key scan and look, if the laser has gone on since the last look.
+
+        Args:
+            path: (K, 3) every key scan of the drive so far, this one included, in the drive's own frame.
+            sweep: What was seen at this one.
+        """
+        rays = np.ascontiguousarray(sweep.rays[:: max(1, len(sweep.rays) // RAYS)])
+        self._glimpses.append(Glimpse(sweep.points, rays))
+        if self._looked_at is not None:
+            way = se2.between(self._looked_at, path[-1])
+            if np.hypot(way[0], way[1]) < EVERY_M and abs(way[2]) < EVERY_RAD:
+                return self.found
+        self._looked_at = path[-1].copy()
+        self.found = self._look(path)
+        return self.found
+
+    def _look(self, path: Pose) -> Relocation:
+        first = self._first(path)
+        here = se2.between(path[-1], path[first:])
+        glimpses = self._glimpses[first:]
+        query = _question([se2.transform(at, one.points) for at, one in zip(here, glimpses, strict=True)])
+        if self._field is None or len(query) < LEAST_POINTS:
+            return NOWHERE
+        self.looks += 1
+        window = (self._middle, self._reach_m, np.pi)
+        places = wide_match.search_all(
+            self._field, query, *window, LEAST_FIT, 1.0, 0.5, most=MOST_PLACES, least_share=LEAST_SHARE
+        )
+        chosen = np.unique(np.linspace(0, len(glimpses) - 1, JUDGES).round().astype(np.int64)).tolist()
+        judged = []
+        for place in places:
+            pose = polished(self._store, self._particle, place.map_t_points, query)
+            fit, known = self._judge(pose, [(here[k], glimpses[k].rays) for k in chosen])
+            judged.append((fit, known, place.score, pose))
+        return self._decide(judged, path[-1], len(chosen))
+
+    def _decide(self, judged: list[tuple[float, float, float, Pose]], here: Pose, judges: int) -> Relocation:
+        """Believe in one place, or name those that are as good."""
+        before, self._before = self._before, None
+        judged.sort(key=lambda one: -one[0])
+        if not judged or judged[0][0] < LEAST_RAY or judged[0][1] < LEAST_KNOWN:
+            return NOWHERE
+        weight = RAYS * TEMPERING * np.sqrt(judges)
+        equal = [one for one in judged if (judged[0][0] - one[0]) * weight < EQUAL]
+        places, fits = tuple(one[3] for one in equal), tuple(one[2] for one in equal)
+        if len(equal) > 1:
+            self.equals += 1
+            return Relocation(None, places, fits)
+        self._before = se2.compose(places[0], se2.invert(here))
+        if before is None:
+            return Relocation(None, places, fits)
+        apart = np.abs(se2.between(se2.compose(before, here), places[0]))
+        return Relocation(places[0] if (apart < AGREE).all() else None, places, fits)
+
+    def _first(self, path: Pose) -> int:
+        """Return the first key scan of the stretch that is asked for."""
+        steps = np.diff(path[:, :2], axis=0)
+        back_m = np.cumsum(np.hypot(steps[::-1, 0], steps[::-1, 1]))
+        return len(path) - 1 - int(np.searchsorted(back_m, STRETCH_M))
+
+    def _judge(self, pose: Pose, seen: list[tuple[Pose, NDArray[np.float64]]]) -> tuple[float, float]:
+        """Return the mean log-likelihood of all rays, and the share that ends where the map has been seen."""
+        known = total = 0.0
+        count = 0
+        for at, rays in seen:
+            placed = np.empty_like(rays)
+            place_rays(se2.compose(pose, at), rays, placed)
+            share, mean = judge_rays(*self._store.maps[:2], self._particle, *self._store.maps[2:], placed)
+            known += share * len(rays)
+            total += share * len(rays) * mean + (1.0 - share) * len(rays) * STRANGE_RAY
+            count += len(rays)
+        return total / max(count, 1), known / max(count, 1)
+
+
+def _question(parts: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Thin the points of a stretch evenly; what is out of sight of the newest place is left out."""
+    points = np.vstack((np.zeros((0, 2)), *parts))
+    points = points[np.hypot(points[:, 0], points[:, 1]) < SIGHT_M]
+    cells = np.floor(points / GRAIN_M).astype(np.int64)
+    _, first = np.unique(cells[:, 0] * 2_000_003 + cells[:, 1], return_index=True)
+    points = points[first]
+    if len(points) > QUERY_POINTS:
+        points = points[np.linspace(0, len(points) - 1, QUERY_POINTS).astype(np.int64)]
+    return np.ascontiguousarray(points)
