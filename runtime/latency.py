@@ -45,17 +45,23 @@ class Histogram:
                 return min(self.max_ms, _LOWEST_MS * _BUCKET**bucket)
         return self.max_ms
 
+    def values(self, hop: str) -> dict[str, str]:
+        """Return the summary as the diagnostics carry it: `latency.match.p99_ms` and the like."""
+        return {f"latency.{hop}.{name}_ms": f"{value:.2f}" for name, value in self.summary().items()}
+
     def summary(self) -> dict[str, float]:
         """Return p50, p99 and max in ms."""
         return {"p50": self.quantile_ms(0.5), "p99": self.quantile_ms(0.99), "max": self.max_ms}
 
 
+SCREEN = "screen"
 HOPS = {
     "scan": "first ray to scan published: one revolution, the serial line, the driver",
     "match": "scan published to odom published",
     "map": "odom published to pose published",
     "whole": "first ray to pose published",
     "grid": "last scan in it to map published",
+    SCREEN: "first ray to picture drawn, in the viewer's process",
 }
 
 
@@ -72,7 +78,9 @@ class _Passage:
 class Journeys:
     """Follows every scan through the topics; feed it raw messages as they come."""
 
-    hops: dict[str, Histogram] = field(default_factory=lambda: {hop: Histogram() for hop in HOPS})
+    hops: dict[str, Histogram] = field(
+        default_factory=lambda: {hop: Histogram() for hop in HOPS if hop != SCREEN}
+    )
     scans: int = 0
     matched: int = 0
     mapped: int = 0
@@ -122,12 +130,11 @@ class Journeys:
         self.hops[hop].add(duration_ns / 1e6)
 
     def values(self) -> dict[str, str]:
-        """Return everything measured as the diagnostics carry it: `latency.match.p99_ms` and the like."""
+        """Return everything measured as the diagnostics carry it."""
         values: dict[str, str] = {}
         for hop, histogram in self.hops.items():
             if histogram.count:
-                for name, value in histogram.summary().items():
-                    values[f"latency.{hop}.{name}_ms"] = f"{value:.2f}"
+                values |= histogram.values(hop)
         counts = {"scans": self.scans, "matched": self.matched, "mapped": self.mapped, "late": self.late}
         return values | {name: str(count) for name, count in counts.items()}
 

@@ -209,12 +209,12 @@ class BusPort:
         self._closing.set()
         if self._beating is not None:
             self._beating.join()
-        if self._puller is not None:
-            self._puller.close()
         if self._bus is not None:
             self.beat(leaving=True)
             self._bus.close()
             self._bus = None
+        if self._puller is not None:
+            self._puller.close()
 
     def __enter__(self) -> "BusPort":
         return self

@@ -1,6 +1,7 @@
 """How far the clock of a robot is from ours: measured over the bus, shown, never written into a recording."""
 
 import struct
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -8,6 +9,7 @@ from runtime.bus import Bus, Handle
 from runtime.clock import Clock
 
 _QUESTIONS = 20
+_AGAIN_S = 60.0  # two quartzes part by some milliseconds in that time at most
 _STAMP = struct.Struct("<q")
 
 
@@ -65,3 +67,25 @@ def measure(ask: Callable[[], list[bytes]], clock: Clock) -> Offset | None:
 def measured(bus: Bus, robot: str, clock: Clock) -> Offset | None:
     """Return how far the clock of a robot on the bus is from ours."""
     return measure(lambda: bus.ask(key(robot), timeout_s=1.0), clock)
+
+
+class Follower:
+    """Sets a clock by the robot's, and keeps it so in a thread; what is shown has the robot's time."""
+
+    def __init__(self, bus: Bus, robot: str, clock: Clock) -> None:
+        self._bus, self._robot, self._clock = bus, robot, clock
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="robot's clock", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End, after the bus was closed: a thread within it at the end of the process would crash that."""
+        self._closing.set()
+        self._thread.join()
+
+    def _work(self) -> None:
+        while True:
+            if (offset := measured(self._bus, self._robot, self._clock)) is not None:
+                self._clock.offset_ns += offset.offset_ns
+            if self._closing.wait(_AGAIN_S):
+                return

@@ -52,8 +52,9 @@ class Puller:
         self._thread.start()
 
     def close(self) -> None:
-        """End; an answer that is under way is not waited for."""
+        """End, after the bus was closed: a thread within it at the end of the process would crash that."""
         self._closing.set()
+        self._thread.join()
 
     def _work(self) -> None:
         pause_s = 0.0

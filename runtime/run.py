@@ -204,7 +204,10 @@ def collect(results_dir: Path, nodes: list[str], run: Mapping[str, Any], config:
                 about |= json.loads(file.read_text(encoding="utf-8"))
                 file.unlink()
             elif file.name == "latency.json":
-                metrics["latency"] = json.loads(file.read_text(encoding="utf-8"))
+                latency = json.loads(file.read_text(encoding="utf-8"))
+                known = metrics.setdefault("latency", {})
+                hops = known.get("hops", {}) | latency.get("hops", {})
+                known |= {**latency, "hops": hops}
                 file.unlink()
             elif file.name == "config.yaml":
                 file.unlink()  # the whole graph's is written below

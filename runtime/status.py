@@ -9,7 +9,7 @@ from runtime.health import Vital
 from runtime.latency import HOPS
 
 SUPERVISOR = "supervisor"
-MATCHER, MONITOR = "matcher", "monitor"
+MATCHER, MAPPER, MONITOR = "matcher", "mapper", "monitor"
 _STALE_S = 3.0
 
 
@@ -53,7 +53,7 @@ class Status:
     def line(self) -> str:
         """Return it in one line."""
         parts = [self.tracking or "starting"]
-        rates = [f"{name} {rate:.1f}/s" for name, rate in self.rates_hz.items() if name != "map"]
+        rates = [f"{name} {rate:.1f}/s" for name, rate in self.rates_hz.items() if not name.startswith("map")]
         if rates:
             parts.append(" ".join(rates))
         for hop in ("match", "map"):
@@ -77,11 +77,11 @@ def status_of(robot: str, vitals: Mapping[str, Vital]) -> Status:
     return Status(
         robot=robot,
         tracking=_tracking(matcher),
-        map_size=monitor.values.get("map_size", "") if monitor else "",
+        map_size=vitals[MAPPER].values.get("map_size", "") if MAPPER in vitals else "",
         scans=int(monitor.number("scans")) if monitor else 0,
         mapped=int(monitor.number("mapped")) if monitor else 0,
         rates_hz=_rates(monitor),
-        hops_ms=_hops(monitor),
+        hops_ms=_hops(vitals),
         processes=tuple(_lines(vitals, supervisor)),
     )
 
@@ -100,14 +100,15 @@ def _rates(monitor: Vital | None) -> dict[str, float]:
     return {key.removesuffix(ending): monitor.number(key) for key in monitor.values if key.endswith(ending)}
 
 
-def _hops(monitor: Vital | None) -> dict[str, dict[str, float]]:
-    if monitor is None:
-        return {}
-    return {
-        hop: {q: monitor.number(f"latency.{hop}.{q}_ms") for q in ("p50", "p99", "max")}
-        for hop in HOPS
-        if f"latency.{hop}.p50_ms" in monitor.values
-    }
+def _hops(vitals: Mapping[str, Vital]) -> dict[str, dict[str, float]]:
+    """Return the hops that the monitor follows, and the last one, that only whoever draws can know."""
+    hops: dict[str, dict[str, float]] = {}
+    for hop in HOPS:
+        for vital in vitals.values():
+            if f"latency.{hop}.p50_ms" in vital.values and not vital.has_left:
+                hops[hop] = {q: vital.number(f"latency.{hop}.{q}_ms") for q in ("p50", "p99", "max")}
+                break
+    return hops
 
 
 def _lines(vitals: Mapping[str, Vital], supervisor: Vital | None) -> list[ProcessLine]:

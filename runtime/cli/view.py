@@ -68,9 +68,11 @@ def run(args: argparse.Namespace) -> int:
 def _show_robot(args: argparse.Namespace, config: "Config", folder: Path, asked: list[int]) -> int:
     from runtime import gate, rundir
     from runtime.bus_zenoh import ZenohBus
+    from runtime.clock import Clock
     from runtime.node import BusPort
     from runtime.nodes import viewer
     from runtime.nodes.viewer_scene import SUBSCRIBES
+    from runtime.offset import Follower
 
     session = _session(args.robot, args.connect)
     here = args.connect is None and rundir.is_running(args.robot)
@@ -84,17 +86,30 @@ def _show_robot(args: argparse.Namespace, config: "Config", folder: Path, asked:
                 self.stop()
             return super().stopping
 
+    clock = Clock()
+    followers: list[Follower] = []
+
+    def open_bus() -> ZenohBus:
+        bus = ZenohBus(session)
+        followers.append(Follower(bus, args.robot, clock))
+        return bus
+
     port = RobotPort(
         f"view_{os.getpid()}",
-        lambda: ZenohBus(session),
+        open_bus,
+        clock=clock,
         guest=gate.is_guest(session),
         subscribes=SUBSCRIBES,
         robot=args.robot,
         domain=args.domain,
         run_dir=folder,
     )
-    with port:
-        return viewer.run(port, config, say=_say)
+    try:
+        with port:
+            return viewer.run(port, config, say=_say)
+    finally:
+        for follower in followers:
+            follower.close()
 
 
 def _session(robot: str, address: str | None) -> dict[str, Any]:

@@ -30,6 +30,8 @@ class MapTeller:
         self._behind = False  # the whole map that was published lacks the newest changes
         self.changed = False
         """Whether there is something to tell."""
+        self.size = ""
+        """Of what is known, in words."""
         port.answer("map", self._tiles.answer)
 
     def tell(self, mapping: DpSlam, stamp_ns: int) -> None:
@@ -44,6 +46,8 @@ class MapTeller:
 
     def _map(self, mapping: DpSlam, stamp_ns: int, now_ns: int) -> None:
         grid = mapping.occupancy()
+        rows, cols = grid.probability.shape
+        self.size = f"{cols * grid.resolution_m:.1f} m x {rows * grid.resolution_m:.1f} m"
         grown, parts = self._tiles.take(grid.percent(), grid.resolution_m, grid.origin_m, stamp_ns, now_ns)
         if grown or self._whole_is_old(now_ns):
             self._whole(now_ns)

@@ -202,6 +202,7 @@ class _Mapper:
             particles=len(step.particles),
             n_eff=round(step.n_eff, 1),
             scans=len(self._odometry),
+            map_size=self._teller.size,
         )
 
     def tell(self) -> None:

@@ -1,18 +1,15 @@
 """Monitor process: follows every scan from the laser to the map and says how long each hop took.
 
-It reads stamps and sequence numbers and decodes nothing but the size of the map, so that looking does not
-slow what it looks at. What it measured is in its own diagnostics, and in `latency.json` of its results when
-it ends.
+It reads stamps and sequence numbers and decodes nothing, so that looking does not slow what it looks at.
+What it measured is in its own diagnostics, and in `latency.json` of its results when it ends.
 """
 
 import json
 import time
 from dataclasses import dataclass
 
-from runtime import messages
 from runtime.latency import Journeys, Rate
 from runtime.port import Port, Received
-from runtime.topics import topic
 
 SUBSCRIBES = ("scan", "odom", "pose", "map", "map_updates")
 PUBLISHES = ()
@@ -35,10 +32,9 @@ class Config:
 def run(port: Port, config: Config) -> int:
     """Follow the scans until the port closes."""
     # Everything counts here: a hop that was overwritten in the monitor would look like a scan that was lost.
-    inboxes = {name: port.subscribe(name, keep=256 if name != "map" else 1, raw=True) for name in SUBSCRIBES}
+    inboxes = {name: port.subscribe(name, keep=1 if name == "map" else 256, raw=True) for name in SUBSCRIBES}
     journeys = Journeys()
     rates = {name: Rate() for name in SUBSCRIBES}
-    size = ""
     port.ready()
     due = time.monotonic()
     values: dict[str, str] = {}
@@ -50,15 +46,12 @@ def run(port: Port, config: Config) -> int:
             arrived += inboxes[name].drain()
         for received in sorted(arrived, key=lambda one: one.published_ns):
             journeys.see(received)
-            if received.topic == "map":
-                size = _map_size(received.payload)
         now = time.monotonic()
         if now >= due:
             due = now + 1.0
             values = journeys.values()
             for name, inbox in inboxes.items():
                 values[f"{name}.rate_hz"] = f"{rates[name].update(now, inbox.received):.2f}"
-            values["map_size"] = size
             p99_ms = journeys.hops["whole"].quantile_ms(0.99)
             if p99_ms > config.late_ms:
                 port.report(
@@ -85,11 +78,3 @@ def used(journeys: Journeys) -> str:
     """Return how many of the scans became poses, in words."""
     late = f", {journeys.late} too late" if journeys.late else ""
     return f"used {journeys.mapped} of {journeys.scans} scans{late}"
-
-
-def _map_size(payload: bytes) -> str:
-    try:
-        info = messages.decode(payload, topic("map").type).info
-    except messages.BadMessageError:
-        return ""
-    return f"{info.width * info.resolution:.1f} m x {info.height * info.resolution:.1f} m"

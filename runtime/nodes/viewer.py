@@ -4,6 +4,7 @@ It only listens, and each of its subscriptions keeps what the topic table says; 
 program that shows the picture happens to this process alone.
 """
 
+import json
 import os
 import time
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from runtime.latency import SCREEN, Histogram
 from runtime.nodes.viewer_painter import Painter
 from runtime.nodes.viewer_scene import SUBSCRIBES, Scene
 from runtime.nodes.viewer_server import ViewerServer
@@ -99,7 +101,10 @@ def has_screen() -> bool:
 def _show(
     port: Port, config: Config, server: ViewerServer | None, painter: Painter, screen: Any, where: str
 ) -> int:
-    scene = Scene(port.robot, painter.paint)
+    ages = Histogram()
+    scene = Scene(
+        port.robot, painter.paint, lambda stamp_ns: ages.add((port.clock.now_ns() - stamp_ns) / 1e6)
+    )
     inboxes = {topic: port.subscribe(topic) for topic in SUBSCRIBES}
     port.ready()
     now = time.monotonic()
@@ -112,9 +117,13 @@ def _show(
             scene.again()
         if now >= report:
             report = now + _REPORT_S
-            if (code := _look_after(port, config, server, painter, scene, where)) is not None:
+            if (code := _look_after(port, config, server, painter, scene, where, ages)) is not None:
                 return code
     _close(server, painter, screen)
+    if port.results_dir is not None and ages.count:
+        port.results_dir.mkdir(parents=True, exist_ok=True)
+        hops = {SCREEN: {"count": ages.count, **ages.summary()}}
+        (port.results_dir / "latency.json").write_text(json.dumps({"hops": hops}), encoding="utf-8")
     return 0
 
 
@@ -135,12 +144,14 @@ def _look_after(
     painter: Painter,
     scene: Scene,
     where: str,
+    ages: Histogram,
 ) -> int | None:
     """Report how it goes; return an exit code when there is nothing left to draw on."""
-    values = {
+    values: dict[str, object] = {
         "drawings": painter.drawn,
         "dropped_drawings": painter.dropped,
         "refused_messages": scene.refused,
+        **(ages.values(SCREEN) if ages.count else {}),
     }
     if painter.failed:
         port.report("error", "the picture cannot be drawn; the log of this process says why", **values)

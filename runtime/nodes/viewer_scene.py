@@ -96,10 +96,13 @@ class Scene:
     Args:
         robot: Whose diagnostics count.
         paint: Draws now, later, or not at all.
+        drawn: Told the stamp of each sweep, ns, once it is drawn; from where drawing is done.
     """
 
-    def __init__(self, robot: str, paint: Paint) -> None:
-        self._robot, self._paint = robot, paint
+    def __init__(
+        self, robot: str, paint: Paint, drawn: Callable[[int], None] = lambda stamp_ns: None
+    ) -> None:
+        self._robot, self._paint, self._drawn = robot, paint, drawn
         self._drawn_ns: dict[str, int] = {}
         self._now_ns = 0
         self._sweeps: OrderedDict[int, _Sweep] = OrderedDict()
@@ -264,6 +267,7 @@ class Scene:
             canvas.scan(rays, hits)
             canvas.laser(map_t_laser)
             canvas.uncertainty(ellipse, blind)
+            self._drawn(stamp_ns)
 
         self._at("scan", stamp_ns, draw)
 

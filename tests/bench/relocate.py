@@ -64,10 +64,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--each", action="store_true", help="also a line for each start")
     args = parser.parse_args()
-    print(
-        "| course | starts | found | median s (m) | worst s (m) | error, mean | wrong | equal places, looks | look, ms |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|")
+    print(HEAD)
     for name in args.courses:
         course = demo(args.seed) if name == "demo" else halves(Path(name), args.seed)
         measure(course, args.starts, args.seed, args.each)
@@ -162,10 +159,8 @@ def measure(course: Course, starts: int, seed: int, each: bool) -> None:
             found_s.append(found)
             way_m.append(way)
         if each:
-            print(
-                f"<!-- start {start}: found {found} s, {way:.1f} m, worst {worst:.2f} of wrong, {refusals} refusals -->",
-                flush=True,
-            )
+            told = f"found {found} s, {way:.1f} m, worst {worst:.2f} of wrong, {refusals} refusals"
+            print(f"<!-- start {start}: {told} -->", flush=True)
     if not found_s:
         print(
             f"| {course.name} | {starts} | 0 | | | | {wrong} | {refused} of {starts}, {equals} of {looks} | |"

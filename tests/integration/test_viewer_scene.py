@@ -211,6 +211,22 @@ def test_latency_is_from_the_first_ray_to_the_pose_on_the_wire(scene, canvas):
     assert ("latency/scan_to_pose", pytest.approx(137.0)) in canvas.all("number")
 
 
+def test_what_is_drawn_is_told_with_its_stamp_and_what_was_dropped_is_not(canvas):
+    told, waiting = [], []
+    scene = Scene("robot", lambda kind, draw: waiting.append((kind, draw)), told.append)
+    for number in range(2):
+        for topic, message in (
+            ("scan", story.scan(number)),
+            ("match_points", story.cloud(number)),
+            ("odom", story.odom(number)),
+        ):
+            take(scene, topic, message, number)
+    assert told == []
+    draws = [draw for kind, draw in waiting if kind == "scan"]
+    draws[1](canvas)
+    assert told == [story.stamp(1)]
+
+
 def test_bumps_and_battery_reach_the_screen(scene, canvas):
     take(scene, "battery", story.battery(0.5))
     for bits in (0, 1, 1, 4, 0):

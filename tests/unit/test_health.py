@@ -89,8 +89,9 @@ def test_the_status_is_what_the_processes_said(bus, health):
         },
         scans=10,
         mapped=9,
-        map_size="10.0 m x 5.0 m",
     )
+    say(bus, "robot/mapper", 0, "mapping", map_size="10.0 m x 5.0 m")
+    say(bus, "robot/view_9", 0, "showing", **{"latency.screen.p50_ms": 150, "latency.screen.p99_ms": 170})
     say(
         bus, "robot/laser", 1, "dusty", **{"scan.overwritten": 2, "odom.missed": 3, "scan.deadline_misses": 4}
     )
@@ -109,7 +110,10 @@ def test_the_status_is_what_the_processes_said(bus, health):
     status = status_of("robot", health.vitals())
     assert status.tracking == "TRACKING"
     assert (status.scans, status.mapped, status.map_size) == (10, 9, "10.0 m x 5.0 m")
-    assert status.hops_ms == {"whole": {"p50": 120.0, "p99": 140.0, "max": 150.0}}
+    assert status.hops_ms == {
+        "whole": {"p50": 120.0, "p99": 140.0, "max": 150.0},
+        "screen": {"p50": 150.0, "p99": 170.0, "max": 0.0},
+    }
     lines = {line.name: line for line in status.processes}
     assert list(lines)[:2] == ["laser", "mapper"]
     assert (lines["laser"].restarts, lines["laser"].lost, lines["laser"].deadline_misses) == (2, 5, 4)

@@ -1,12 +1,14 @@
 """The offset of two clocks is found to half a round trip, whichever way the delay goes."""
 
+import time
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from runtime.bus_memory import MemoryBus
 from runtime.clock import ManualClock
-from runtime.offset import Offset, measure, measured, tell_time
+from runtime.offset import Follower, Offset, measure, measured, tell_time
 
 
 @given(
@@ -43,3 +45,15 @@ def test_a_robot_tells_its_time_on_the_bus():
         assert found == Offset(1_500_000, 0)
         assert str(found) == "+1.500 ms, to 0.000 ms"
         assert measured(laptop, "another", ManualClock()) is None
+
+
+def test_a_viewer_s_clock_is_set_by_the_robot_s():
+    ours = ManualClock(500_000)
+    with MemoryBus() as robot, robot.join() as laptop:
+        tell_time(robot, "robot", ManualClock(2_000_000))
+        follower = Follower(laptop, "robot", ours)
+        end = time.monotonic() + 10
+        while ours.offset_ns != 1_500_000:
+            assert time.monotonic() < end, f"offset {ours.offset_ns}"
+            time.sleep(0.01)
+        follower.close()
