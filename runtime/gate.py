@@ -5,29 +5,32 @@ certificate and the list of guests; what no rule allows is denied.
 """
 
 import base64
+from collections.abc import Mapping
 from typing import Any
 
 from runtime import links, rundir
-from runtime.keys import Authority, Invitation, common_name, paired
+from runtime.keys import Authority, Invitation, Role, common_name, paired
 
 _READ = ["read_in", "read_out"]
 _ASKING = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]
 _ANSWERING = ["put", "delete", "reply", "declare_queryable", "liveliness_token"]
 
 
-def door(host: Authority, robot: str, domain: int, endpoint: str) -> dict[str, Any]:
+def door(
+    host: Authority, robot: str, domain: int, endpoint: str, roster: Mapping[str, Role]
+) -> dict[str, Any]:
     """Return the hub's one door to the network: mutual TLS, and for each guest what its role allows.
 
     Everything is denied that no rule allows; a guest reads its robot's topics, an operator also sends
     `cmd_vel`.
 
     Args:
-        host: Keys and list of guests.
+        host: Keys.
         robot: Its name.
         domain: ROS domain.
         endpoint: `address:port` to listen at.
+        roster: The role of each guest.
     """
-    roster = host.roster()
     subjects: list[dict[str, Any]] = [{"id": "local", "link_protocols": ["unixsock-stream"]}]
     policies: list[dict[str, Any]] = [{"rules": ["all"], "subjects": ["local"]}]
     drive = [*_READ, "drive_in", "drive_out"]

@@ -1,7 +1,7 @@
 """The hub: introduces the processes of a robot to each other, and visitors to all of them.
 
 `python -m runtime.hub --run-dir DIR`. It carries nothing between local processes once they know each other,
-so that it may die and come back without a gap.
+so that it may die and come back without a gap; and so it begins anew when the list of guests changes.
 """
 
 import argparse
@@ -32,6 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--domain", type=int, default=0)
     args = parser.parse_args(argv)
     log_to_stderr()
+    log = logging.getLogger("hub")
     asked_to_stop: list[
         int
     ] = []  # not an Event: a second signal in the middle of setting it would wait for ever
@@ -40,15 +41,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     from runtime.bus_zenoh import ZenohBus
 
     try:
-        door = None
-        if args.remote:
-            door = gate.door(keys.authority(args.robot), args.robot, args.domain, args.remote)
-        with ZenohBus(links.hub(args.run_dir, door)):
-            # In slices: a signal that another thread takes does not end a wait without end.
-            while not asked_to_stop:
-                time.sleep(_SLICE_S)
+        host = keys.authority(args.robot) if args.remote else None
+        while not asked_to_stop:
+            door, listed = None, host.roster() if host else {}
+            if host is not None:
+                door = gate.door(host, args.robot, args.domain, args.remote, listed)
+            with ZenohBus(links.hub(args.run_dir, door)):
+                # In slices: a signal that another thread takes does not end a wait without end.
+                while not asked_to_stop and (host is None or host.roster() == listed):
+                    time.sleep(_SLICE_S)
+            if not asked_to_stop:
+                log.info("the list of guests has changed: all are asked for their names again")
     except HallwayError as error:
-        logging.getLogger("hub").error("%s", error)
+        log.error("%s", error)
         return error.exit_code
     return 0
 

@@ -162,7 +162,7 @@ def invite(robot: str, guest: str, role: Role, address: str) -> Invitation:
 
 
 def revoke(robot: str, guest: str) -> None:
-    """Strike a guest off the list; it counts from the next start of the hub."""
+    """Strike a guest off the list; a hub that runs has thrown it out within a second."""
     host = authority(robot)
     roster = host.roster()
     if guest not in roster:

@@ -44,10 +44,10 @@ def run(args: argparse.Namespace) -> int:
         invitation = keys.invite(args.robot, args.guest, args.role, address)
         keys.write_private(out, invitation.to_bytes())
         print(f"{out}: lets {args.guest} in as {args.role}, at {invitation.address}; it is secret")
-        print(f"on the laptop: hallway keys pair {out.name}; counts from the next start of the robot")
+        print(f"on the laptop: hallway keys pair {out.name}")
     elif args.action == "revoke":
         keys.revoke(args.robot, args.guest)
-        print(f"{args.guest} is off the list; counts from the next start of the robot")
+        print(f"{args.guest} is off the list, and out")
     elif args.action == "list":
         for guest, role in keys.authority(args.robot).roster().items():
             print(f"{guest:20} {role}")

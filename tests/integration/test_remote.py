@@ -107,6 +107,26 @@ GUEST_SIDE = """
         }))
 """
 
+STAYING_GUEST = """
+    import json, sys, threading, time
+    from runtime import gate, messages
+    from runtime.bus import Mailbox
+    from runtime.bus_zenoh import ZenohBus
+    from runtime.topics import topic
+    def key(name): return messages.topic_key(f"robot/{name}", topic(name).type)
+    stop = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.readline(), stop.set()), daemon=True).start()
+    with ZenohBus(gate.visit("robot")) as bus:
+        scans = Mailbox(1)
+        bus.subscribe(key("scan"), scans.put)
+        stick = bus.publisher(key("cmd_vel"))
+        sent = 0
+        while not stop.wait(0.05):
+            sent += 1
+            stick.put(bytes(60), messages.Attachment(sent, 0, bytes(16)).encode())
+            print(json.dumps({"sent": sent, "scans": scans.received}), flush=True)
+"""
+
 
 def network(*command):
     return subprocess.run(["ip", *command], capture_output=True, text=True, check=False)
@@ -208,6 +228,14 @@ class Robot:
         assert done.returncode == 0, done.stderr
         return json.loads(done.stdout)
 
+    def staying(self, name):
+        """Start a guest that looks and drives until it is told to end, and says how it goes."""
+        command = ["ip", "netns", "exec", self.there, sys.executable, "-c", textwrap.dedent(STAYING_GUEST)]
+        pipe = subprocess.PIPE
+        return subprocess.Popen(
+            command, env=self.environment(name), stdin=pipe, stdout=pipe, text=True, bufsize=1
+        )
+
     def commands(self):
         """End the robot; return how many commands reached its wheels."""
         out, _ = self.process.communicate("end\n", timeout=30)
@@ -268,6 +296,51 @@ def test_who_was_struck_off_the_list_sees_and_moves_nothing(robot, tmp_path, mon
         assert seen["known_cells"] == 0
         assert robot.guest("anna")["scans"] > 50
         assert robot.commands() == 0
+
+
+def state(guest):
+    return json.loads(guest.stdout.readline())
+
+
+def until(guest, condition, turns=600):
+    """Read what a guest says, twenty times a second, until it says what is waited for."""
+    for _ in range(turns):
+        if condition(said := state(guest)):
+            return said
+    raise AssertionError(f"never came: {said}")
+
+
+def without_news(guest):
+    """Wait until a guest has seen no scan for two seconds; return what it said at their beginning."""
+    last, since = state(guest), 0
+    for _ in range(600):
+        said = state(guest)
+        since = since + 1 if said["scans"] == last["scans"] else 0
+        if not since:
+            last = said
+        if since == 40:
+            return last
+    raise AssertionError("it still sees scans after half a minute")
+
+
+def test_who_is_struck_off_while_inside_is_out_and_the_others_come_back_by_themselves(
+    robot, tmp_path, monkeypatch
+):
+    robot.invite("olga", "operator")
+    robot.invite("anna", "viewer")
+    monkeypatch.setenv("HALLWAY_KEYS", str(tmp_path / "owner"))
+    with robot, robot.staying("olga") as olga, robot.staying("anna") as anna:
+        for guest in (olga, anna):
+            until(guest, lambda said: said["scans"] > 20)
+        keys.revoke("robot", "olga")
+        blind = without_news(olga)
+        until(olga, lambda said: said["sent"] >= blind["sent"] + 60)
+        assert state(olga)["scans"] == blind["scans"]
+        seen = state(anna)["scans"]
+        until(anna, lambda said: said["scans"] > seen + 50)
+        for guest in (olga, anna):
+            guest.communicate("end\n", timeout=30)
+        assert robot.commands() <= blind["sent"] + 5  # of more than sixty that she sent after that
 
 
 def test_the_robot_listens_at_its_one_door_only(robot):

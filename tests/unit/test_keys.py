@@ -83,7 +83,7 @@ def test_the_door_denies_what_no_rule_allows_and_names_each_guest(home):
     host = keys.make("robot")
     keys.invite("robot", "anna", "viewer", "h")
     keys.invite("robot", "olga", "operator", "h")
-    door = gate.door(host, "robot", 7, "0.0.0.0:7448")
+    door = gate.door(host, "robot", 7, "0.0.0.0:7448", host.roster())
     access = door["access_control"]
     assert access["default_permission"] == "deny"
     roles = {subject["id"]: subject.get("cert_common_names") for subject in access["subjects"]}
