@@ -124,10 +124,13 @@ def factor_chain(diagonal, ends, off, inverse, lower):
     coupling = np.zeros((count, 3, 3))
     for e in range(ends.shape[0]):
         i, j = ends[e, 0], ends[e, 1]
-        if j == i + 1:
-            coupling[j] += off[e]
-        elif i == j + 1:
-            coupling[i] += off[e].T
+        # Written out: sums of slices take longer to compile than all the rest of this function.
+        for a in range(3):
+            for b in range(3):
+                if j == i + 1:
+                    coupling[j, a, b] += off[e, a, b]
+                elif i == j + 1:
+                    coupling[i, a, b] += off[e, b, a]
     inverse[0] = 0.0
     lower[:] = 0.0
     for k in range(1, count):
@@ -155,13 +158,24 @@ def solve_chain(inverse, lower, r, z):
                 for m in range(3):
                     z[k, a] -= lower[k, a, m] * z[k - 1, m]
     for k in range(count - 1, 0, -1):
-        hold[:] = z[k]
+        for a in range(3):
+            hold[a] = z[k, a]
         z[k] = 0.0
         add_product(inverse[k], hold, z[k])
         if k < count - 1:
             for a in range(3):
                 for m in range(3):
                     z[k, a] -= lower[k + 1, m, a] * z[k + 1, m]
+
+
+@njit("f8(f8[:,::1], f8[:,::1])", cache=True, nogil=True)
+def inner(x, y):
+    """Return the sum of the products, in the order of the rows."""
+    total = 0.0
+    for k in range(x.shape[0]):
+        for a in range(3):
+            total += x[k, a] * y[k, a]
+    return total
 
 
 @njit("i8(f8[:,:,::1], i8[:,::1], f8[:,:,::1], f8[:,::1], f8[:,::1], i8, f8)", cache=True, nogil=True)
@@ -176,17 +190,22 @@ def conjugate_gradient(diagonal, ends, off, b, x, rounds, tolerance):
     z, hp = np.empty_like(r), np.empty_like(r)
     solve_chain(inverse, lower, r, z)
     p = z.copy()
-    rz = (r * z).sum()
+    rz = inner(r, z)
     enough = tolerance * tolerance * rz
     for done in range(rounds):
         if rz <= enough or rz <= 0.0:
             return done
         multiply(diagonal, ends, off, p, hp)
-        alpha = rz / (p * hp).sum()
-        x += alpha * p
-        r -= alpha * hp
+        alpha = rz / inner(p, hp)
+        for k in range(count):
+            for a in range(3):
+                x[k, a] += alpha * p[k, a]
+                r[k, a] -= alpha * hp[k, a]
         solve_chain(inverse, lower, r, z)
-        fresh = (r * z).sum()
-        p = z + (fresh / rz) * p
+        fresh = inner(r, z)
+        beta = fresh / rz
+        for k in range(count):
+            for a in range(3):
+                p[k, a] = z[k, a] + beta * p[k, a]
         rz = fresh
     return rounds

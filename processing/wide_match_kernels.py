@@ -109,9 +109,15 @@ def branch_and_bound(
         for node in range(across * across):
             col, row = -reach + side * (node % across), -reach + side * (node // across)
             bounds[node] = bound_at(levels, top, cells, col, row)
-        for node in np.argsort(-bounds):
+        while True:
+            # The most promising first; few are looked at, so that they need not all be sorted.
+            node = 0
+            for other in range(1, across * across):
+                if bounds[other] > bounds[node]:
+                    node = other
             if bounds[node] <= best:
                 break
+            bounds[node] = -1.0
             stack[0, 0], stack[0, 1] = -reach + side * (node % across), -reach + side * (node // across)
             stack[0, 2] = top
             depth = 1

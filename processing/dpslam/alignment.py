@@ -140,7 +140,8 @@ def align(
     slots = np.full(size, NONE, dtype=np.int32)
     normals = np.empty((size, 5))
     built = 0
-    pose[:] = predicted
+    for a in range(3):  # here and below: a slice assigned to a slice takes over a second to compile
+        pose[a] = predicted[a]
     g, H = np.zeros(3), np.zeros((3, 3))
     for iteration in range(ITERATIONS + 1):
         c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -193,7 +194,9 @@ def align(
                 mapped += 1
         H[1, 0], H[2, 0], H[2, 1] = H[0, 1], H[0, 2], H[1, 2]
         result[0], result[1] = total / max(count, 1), mapped / max(count, 1)
-        information[:] = gain * H
+        for a in range(3):
+            for b in range(3):
+                information[a, b] = gain * H[a, b]
         if iteration == ITERATIONS:
             break
         # Gauss-Newton on -score + prior, both positive definite.

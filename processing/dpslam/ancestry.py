@@ -56,7 +56,8 @@ def _extend(
         node = leaves[i]
         record = _take(free, count)
         previous[record] = nodes[node, 2]
-        recorded[record] = poses[i]
+        for a in range(3):  # a row assigned to a row takes 1.7 s to compile
+            recorded[record, a] = poses[i, a]
         nodes[node, 2] = record
         if nodes[node, 3] == NONE:
             nodes[node, 3] = record
@@ -263,6 +264,6 @@ def _walk(newest: int, previous: NDArray[np.int32], recorded: NDArray[np.float64
     path = np.empty((length, 3))
     at = newest
     for k in range(length - 1, -1, -1):
-        path[k] = recorded[at]
+        path[k, 0], path[k, 1], path[k, 2] = recorded[at, 0], recorded[at, 1], recorded[at, 2]
         at = previous[at]
     return path
