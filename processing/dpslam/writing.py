@@ -37,7 +37,7 @@ _BLOCK_BITS = 2
 
 
 @njit("void(u2[:,::1], u2[:,::1], f4[:,::1], u1[:,::1], i4)", cache=True, nogil=True)
-def _renew_blocks(
+def renew_blocks(
     cells: NDArray[np.uint16],
     ends: NDArray[np.uint16],
     blocks: NDArray[np.float32],
@@ -143,5 +143,5 @@ def write_rays(
                 row += step_y
                 next_y += way_y
     for k in range(count):
-        _renew_blocks(cells, ends, blocks, stale, touched[k])
+        renew_blocks(cells, ends, blocks, stale, touched[k])
     return count
