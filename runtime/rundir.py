@@ -9,12 +9,14 @@ import fcntl
 import os
 import shutil
 import stat
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from runtime.errors import ConfigError, HallwayError
 
 _VARIABLE = "HALLWAY_RUN"
+GONE_S = 2.0
 
 
 class NotRunningError(HallwayError):
@@ -38,6 +40,26 @@ def run_dir(robot: str) -> Path:
 def is_running(robot: str) -> bool:
     """Whether a robot of that name runs here."""
     return (run_dir(robot) / "hub.sock").exists()
+
+
+class Presence:
+    """Whether a robot of this machine is still there, to somebody who looks again and again.
+
+    Its hub may begin anew, and has no socket meanwhile; a robot that was never here is never gone.
+    """
+
+    def __init__(self, robot: str) -> None:
+        self._robot = robot
+        self._here = is_running(robot)
+        self._seen = time.monotonic()
+
+    @property
+    def gone(self) -> bool:
+        """Whether it was here, and has not been for some seconds."""
+        now = time.monotonic()
+        if not self._here or is_running(self._robot):
+            self._seen = now
+        return now - self._seen > GONE_S
 
 
 def running(robot: str) -> Path:

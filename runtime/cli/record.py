@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         robot=args.robot,
         run_dir=rundir.run_dir(args.robot),
     )
-    here = rundir.is_running(args.robot)
+    presence = rundir.Presence(args.robot)
     interrupted: list[int] = []
 
     def on_signal(number: int, frame: FrameType | None) -> None:
@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         port.stop()
 
     def turn(recording: Any) -> None:
-        if here and not rundir.is_running(args.robot):
+        if presence.gone:
             port.stop()
         if not args.json and time.monotonic() - said[0] > 5.0:
             said[0] = time.monotonic()

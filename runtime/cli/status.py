@@ -42,8 +42,8 @@ def run(args: argparse.Namespace) -> int:
             well = all(line.level == "ok" for line in status.processes)
             return 0 if well and status.processes else 1
         with Screen(quiet=args.json) as screen:
-            here = rundir.is_running(args.robot)
-            while not here or rundir.is_running(args.robot):
+            presence = rundir.Presence(args.robot)
+            while not presence.gone:
                 status = status_of(args.robot, health.vitals())
                 screen.show(status, time.monotonic() - began)
                 if args.json:

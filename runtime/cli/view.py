@@ -75,14 +75,14 @@ def _show_robot(args: argparse.Namespace, config: "Config", folder: Path, asked:
     from runtime.offset import Follower
 
     session = _session(args.robot, args.connect)
-    here = args.connect is None and rundir.is_running(args.robot)
+    presence = rundir.Presence(args.robot)
 
     class RobotPort(BusPort):
         """Stops with the person who looks, and with the robot."""
 
         @property
         def stopping(self) -> bool:
-            if asked or (here and not rundir.is_running(args.robot)):
+            if asked or (args.connect is None and presence.gone):
                 self.stop()
             return super().stopping
 
