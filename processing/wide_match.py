@@ -114,13 +114,23 @@ def search_all(
     apart_rad: float = 0.25,
     most: int = 8,
     least_share: float = 0.0,
+    ground: NDArray[np.float64] | None = None,
 ) -> list[Place]:
     """Find the places of the window where the points fit, the best first.
 
     Args:
-        field, points, map_t_guess, reach_m, reach_rad, least_score, apart_m, apart_rad: As of `search`.
+        field: Of the map.
+        points: (N, 2) m, in their own frame, N >= 1.
+        map_t_guess: Middle of the window.
+        reach_m: Half the side of the window.
+        reach_rad: Half its width in rotation.
+        least_score: Places below it are nobody's.
+        apart_m: Two places lie at least so far apart, or
+        apart_rad: are turned by at least so much.
         most: So many places at most.
         least_share: Places whose score is a smaller share of the best one's do not count.
+        ground: (M, 2) where the origin of the points may lie, m, map frame: squares of the coarsest step in
+            which there is none of it are not searched; None: anywhere.
     """
     cloud = np.ascontiguousarray(points, dtype=np.float64)
     farthest = float(np.sqrt((cloud**2).sum(axis=1).max()))
@@ -129,12 +139,28 @@ def search_all(
     cells = int(np.ceil(reach_m / field.resolution_m))
     fixed = (field.levels, field.origin_m[0], field.origin_m[1], field.resolution_m, cloud)
     window = (np.asarray(map_t_guess, dtype=np.float64), turn, steps, cells)
+    nodes = _open_nodes(field, map_t_guess, cells, ground)
     places: list[Place] = []
     while len(places) < most:
         shunned = np.array([place.map_t_points for place in places]).reshape(-1, 3)
         least = max(least_score, least_share * places[0].score) if places else least_score
         found = np.zeros(4)
-        if not kernels.branch_and_bound(*fixed, *window, least, shunned, apart_m, apart_rad, found):
+        if not kernels.branch_and_bound(*fixed, *window, least, shunned, apart_m, apart_rad, nodes, found):
             break
         places.append(Place(found[:3].copy(), float(found[3])))
     return places
+
+
+def _open_nodes(
+    field: Field, map_t_guess: Pose, reach: int, ground: NDArray[np.float64] | None
+) -> NDArray[np.uint8]:
+    """Return which squares of the coarsest step hold ground."""
+    side = 1 << kernels.top_of(len(field.levels), reach)
+    across = (2 * reach + side) // side
+    if ground is None:
+        return np.ones(across * across, dtype=np.uint8)
+    at = np.floor((ground - map_t_guess[:2]) / field.resolution_m).astype(np.int64) + reach
+    at = at[((at >= 0) & (at <= 2 * reach)).all(axis=1)] // side
+    nodes = np.zeros((across, across), dtype=np.uint8)
+    nodes[at[:, 1], at[:, 0]] = 1
+    return nodes.ravel()

@@ -76,23 +76,48 @@ def neighbours(x, y, yaw, places, apart_m, apart_rad):
     return False
 
 
+@njit("i8(i8, i8)", cache=True, nogil=True)
+def top_of(levels, reach):
+    """Return the level from which a window of 2 `reach` + 1 cells is searched.
+
+    Its squares of 2^level cells, counted row by row from the lowest corner, are those that may be closed.
+    """
+    top = levels - 1
+    while top > 0 and (1 << top) > 2 * reach + 1:
+        top -= 1
+    return top
+
+
 @njit(
-    "b1(f4[:,:,::1], f8, f8, f8, f8[:,::1], f8[::1], f8, i8, i8, f8, f8[:,::1], f8, f8, f8[::1])",
+    "b1(f4[:,:,::1], f8, f8, f8, f8[:,::1], f8[::1], f8, i8, i8, f8, f8[:,::1], f8, f8, u1[::1], f8[::1])",
     cache=True,
     nogil=True,
 )
 def branch_and_bound(
-    levels, x0, y0, resolution, points, guess, turn, turns, reach, least, shunned, apart_m, apart_rad, found
+    levels,
+    x0,
+    y0,
+    resolution,
+    points,
+    guess,
+    turn,
+    turns,
+    reach,
+    least,
+    shunned,
+    apart_m,
+    apart_rad,
+    open_nodes,
+    found,
 ):
     """Write the best (x, y, yaw, score) of the window into `found`; False when nothing passes `least`.
 
     Rotations are walked from the guess outwards; for each, the translations are a tree of squares whose
-    bound is the pyramid. Places that neighbour one of `shunned` (M, 3) are passed over.
+    bound is the pyramid. Places that neighbour one of `shunned` (M, 3) are passed over, and
+    squares of the coarsest step that are not open, see `top_of`.
     """
     count = points.shape[0]
-    top = levels.shape[0] - 1
-    while top > 0 and (1 << top) > 2 * reach + 1:
-        top -= 1
+    top = top_of(levels.shape[0], reach)
     cells = np.empty((count, 2), dtype=np.int64)
     stack = np.empty((4 * (top + 1) + 4, 3), dtype=np.int64)
     side = 1 << top
@@ -108,7 +133,7 @@ def branch_and_bound(
             cells[i, 1] = int(np.floor((s * px + c * py + guess[1] - y0) / resolution))
         for node in range(across * across):
             col, row = -reach + side * (node % across), -reach + side * (node // across)
-            bounds[node] = bound_at(levels, top, cells, col, row)
+            bounds[node] = bound_at(levels, top, cells, col, row) if open_nodes[node] else -1.0
         while True:
             # The most promising first; few are looked at, so that they need not all be sorted.
             node = 0

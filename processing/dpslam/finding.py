@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing import se2, wide_match
-from processing.dpslam.grid import TileStore
+from processing.dpslam.grid import CELL_M, TileStore
 from processing.dpslam.laser_model import judge_rays, place_rays
 from processing.dpslam.relocation import (
     CELL_FIT_M,
@@ -35,8 +35,12 @@ STRETCH_M = 12.0
 """Way whose points are laid together, at most."""
 SIGHT_M = 10.0
 """Points farther from the newest place are left out: the step of the search in rotation falls with them."""
-QUERY_POINTS = 300
+MOST_GLIMPSES = 200
+"""Key scans of it, at most."""
+QUERY_POINTS = 200
 GRAIN_M = 0.1
+GROUND_STEP = 4
+"""Cells between two that are asked whether they are free."""
 LEAST_POINTS = 40
 LEAST_FIT = 0.6
 """Share of the points that must find their wall."""
@@ -79,6 +83,7 @@ class Finder:
             low, high = walls.min(axis=0), walls.max(axis=0)
             self._middle = np.array((*((low + high) / 2.0), 0.0))
             self._reach_m = float((high - low).max()) / 2.0
+            self._ground = ground_of(store, particle)
         self._glimpses: list[Glimpse] = []
         self._looked_at: Pose | None = None
         self._before: Pose | None = None
@@ -98,6 +103,7 @@ class Finder:
         """
         rays = np.ascontiguousarray(sweep.rays[:: max(1, len(sweep.rays) // RAYS)])
         self._glimpses.append(Glimpse(sweep.points, rays))
+        del self._glimpses[:-MOST_GLIMPSES]
         if self._looked_at is not None:
             way = se2.between(self._looked_at, path[-1])
             if np.hypot(way[0], way[1]) < EVERY_M and abs(way[2]) < EVERY_RAD:
@@ -109,14 +115,22 @@ class Finder:
     def _look(self, path: Pose) -> Relocation:
         first = self._first(path)
         here = se2.between(path[-1], path[first:])
-        glimpses = self._glimpses[first:]
+        glimpses = self._glimpses[first - len(path) :]
         query = _question([se2.transform(at, one.points) for at, one in zip(here, glimpses, strict=True)])
         if self._field is None or len(query) < LEAST_POINTS:
             return NOWHERE
         self.looks += 1
         window = (self._middle, self._reach_m, np.pi)
         places = wide_match.search_all(
-            self._field, query, *window, LEAST_FIT, 1.0, 0.5, most=MOST_PLACES, least_share=LEAST_SHARE
+            self._field,
+            query,
+            *window,
+            LEAST_FIT,
+            apart_m=1.0,
+            apart_rad=0.5,
+            most=MOST_PLACES,
+            least_share=LEAST_SHARE,
+            ground=self._ground,
         )
         chosen = np.unique(np.linspace(0, len(glimpses) - 1, JUDGES).round().astype(np.int64)).tolist()
         judged = []
@@ -148,7 +162,8 @@ class Finder:
         """Return the first key scan of the stretch that is asked for."""
         steps = np.diff(path[:, :2], axis=0)
         back_m = np.cumsum(np.hypot(steps[::-1, 0], steps[::-1, 1]))
-        return len(path) - 1 - int(np.searchsorted(back_m, STRETCH_M))
+        back = min(int(np.searchsorted(back_m, STRETCH_M)), len(self._glimpses) - 1)
+        return len(path) - 1 - back
 
     def _judge(self, pose: Pose, seen: list[tuple[Pose, NDArray[np.float64]]]) -> tuple[float, float]:
         """Return the mean log-likelihood of all rays, and the share that ends where the map has been seen."""
@@ -162,6 +177,14 @@ class Finder:
             total += share * len(rays) * mean + (1.0 - share) * len(rays) * STRANGE_RAY
             count += len(rays)
         return total / max(count, 1), known / max(count, 1)
+
+
+def ground_of(store: TileStore, particle: int) -> NDArray[np.float64]:
+    """Return where a laser may be on one particle's map: (N, 2) m, free cells, one of each few."""
+    cells, (row, col) = store.dense(particle)
+    part = cells[::GROUND_STEP, ::GROUND_STEP]
+    rows, cols = np.nonzero((part[..., 0] == 0) & (part[..., 1] > 0))
+    return np.asarray((np.column_stack((cols, rows)) * GROUND_STEP + (col, row) + 0.5) * CELL_M)
 
 
 def _question(parts: list[NDArray[np.float64]]) -> NDArray[np.float64]:

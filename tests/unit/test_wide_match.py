@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from processing.se2 import compose, invert, transform
-from processing.wide_match import LEVELS, build_field, search
+from processing.wide_match import LEVELS, build_field, search, search_all
 
 
 def walls(*segments, spacing_m=0.04):
@@ -20,6 +20,9 @@ def walls(*segments, spacing_m=0.04):
 
 CORNERS = ((0, 0), (10, 0), (10, 6), (4, 6), (4, 4), (0, 4), (0, 0))
 ROOM = walls(*itertools.pairwise(CORNERS), ((6, 2), (7, 3)))
+
+
+UP = np.array((0.0, 12.0))
 
 
 def seen_from(pose, points, count, seed=0):
@@ -100,3 +103,25 @@ def test_the_answer_moves_with_the_map():
     assert here is not None
     assert there is not None
     np.testing.assert_allclose(compose(shift, here.best.map_t_points), there.best.map_t_points, atol=0.051)
+
+
+def test_three_rooms_alike_are_three_places_and_a_fourth_is_none():
+    rooms = np.vstack([ROOM + number * UP for number in range(3)])
+    field = build_field(rooms, 0.1, 0.12, 0.5)
+    seen = seen_from(np.array((3.0, 14.0, 0.7)), ROOM + UP, 200)
+    middle = np.array((5.0, 15.0, 0.0))
+    places = search_all(field, seen, middle, 16.0, np.pi, 0.5, 1.0, 0.5, least_share=0.9)
+    assert sorted(round(place.map_t_points[1]) for place in places) == [2, 14, 26]
+    assert all(np.abs(place.map_t_points[[0, 2]] - (3.0, 0.7)).max() < 0.15 for place in places)
+
+
+def test_where_there_is_no_ground_no_place_is_looked_for():
+    rooms = np.vstack((ROOM, ROOM + UP))
+    field = build_field(rooms, 0.1, 0.12, 0.5)
+    seen = seen_from(np.array((3.0, 2.0, 0.7)), ROOM, 200)
+    ground = np.array(np.meshgrid(np.arange(0.5, 10.0, 0.3), np.arange(12.5, 16.0, 0.3))).reshape(2, -1).T
+    middle = np.array((5.0, 9.0, 0.0))
+    everywhere = search_all(field, seen, middle, 10.0, np.pi, 0.5, 1.0, 0.5, least_share=0.9)
+    (place,) = search_all(field, seen, middle, 10.0, np.pi, 0.5, 1.0, 0.5, least_share=0.9, ground=ground)
+    assert len(everywhere) == 2
+    assert place.map_t_points[1] == pytest.approx(14.0, abs=0.15)
