@@ -184,7 +184,10 @@ def child_environment(clock: Clock) -> dict[str, str]:
     environment[OFFSET_VARIABLE] = str(clock.offset_ns)
     environment[PARENT_VARIABLE] = str(os.getpid())
     package = Path(__file__).resolve().parent.parent
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(package), os.environ.get("PYTHONPATH"))))
+    # Ours before whatever is called `runtime` where the person stands; what only is there is found all the same.
+    environment["PYTHONSAFEPATH"] = "1"
+    places = (str(package), os.environ.get("PYTHONPATH"), os.getcwd())
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, places))
     if "NUMBA_CACHE_DIR" not in environment and not os.access(package / "processing", os.W_OK):
         home = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
         environment["NUMBA_CACHE_DIR"] = str(Path(home) / "hallway" / "numba")

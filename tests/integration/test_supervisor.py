@@ -3,15 +3,17 @@
 import contextlib
 import os
 import signal
+import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
 from runtime.child import State, last_line
 from runtime.clock import OFFSET_VARIABLE, Clock
 from runtime.graph import Graph, NodeSpec
-from runtime.supervisor import Supervisor
+from runtime.supervisor import Supervisor, child_environment
 
 SLEEPS = "import time; time.sleep(600)"
 POLITE = (
@@ -321,3 +323,17 @@ def test_the_reason_is_the_last_line_without_its_time_and_name(tmp_path):
     log.write_text("x\n2025-01-01T00:00:00.000 ERROR   laser: /dev/ttyACM0: no such device\n")
     assert last_line(log) == "/dev/ttyACM0: no such device"
     assert last_line(tmp_path / "none.log") == ""
+
+
+def test_a_folder_called_runtime_where_the_person_stands_is_not_taken_for_ours(tmp_path, monkeypatch):
+    for name in ("runtime", "theirs"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").touch()
+    monkeypatch.chdir(tmp_path)
+    words = "import runtime, theirs; print(runtime.__file__); print(theirs.__file__)"
+    done = subprocess.run(
+        [sys.executable, "-c", words], env=child_environment(Clock()), capture_output=True, text=True
+    )
+    ours, theirs = done.stdout.split()
+    assert Path(ours) == Path(__file__).parents[2] / "runtime" / "__init__.py"
+    assert Path(theirs) == tmp_path / "theirs" / "__init__.py"
