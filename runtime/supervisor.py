@@ -184,7 +184,7 @@ def child_environment(clock: Clock) -> dict[str, str]:
     environment[OFFSET_VARIABLE] = str(clock.offset_ns)
     environment[PARENT_VARIABLE] = str(os.getpid())
     package = Path(__file__).resolve().parent.parent
-    # Ours before whatever is called `runtime` where the person stands; what only is there is found all the same.
+    # Ours before whatever is called `runtime` where the person stands; what is only there is found as well.
     environment["PYTHONSAFEPATH"] = "1"
     places = (str(package), os.environ.get("PYTHONPATH"), os.getcwd())
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, places))
