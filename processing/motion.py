@@ -1,6 +1,12 @@
-"""What the matcher tells the mapper: where the laser went since the last scan, and how well that is known."""
+"""What the matcher tells the mapper: where the laser went since the last scan, and how well that is known.
 
-from dataclasses import dataclass
+Three kinds of motion, told apart by their covariance. A known one vouches for the whole way since the last
+one that was not lost. A lost one says nothing, and its scan belongs nowhere. One that begins anew says
+nothing of the way to it, and is where the known ones after it begin: the first of a run, and the first after
+a loss from which the matcher did not find back.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +15,8 @@ from processing.se2 import Pose, between
 
 UNKNOWN_VARIANCE = 1e6
 """Variance (m^2, rad^2) of a motion of which nothing is known; the sign of a lost track."""
+ANEW_VARIANCE = 4e6
+"""The sign of a track that begins anew."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,19 +28,38 @@ class Motion:
     odom_t_laser: Pose
     """(3,) smooth, drifting pose; its yaw lies on the grid of `se2.snap_yaw`."""
     covariance: NDArray[np.float64]
-    """(3, 3) of the error of the motion since the previous scan, in the laser's present frame; m, rad."""
+    """(3, 3) of the error of the way since the last scan not lost, in the laser's present frame; m, rad."""
     twist: NDArray[np.float64]
     """(3,) velocity in the laser's present frame, m/s and rad/s, for de-skewing."""
 
     @property
     def lost(self) -> bool:
-        """Whether the matcher could not tell where the laser went."""
-        return bool(self.covariance[2, 2] >= UNKNOWN_VARIANCE)
+        """Whether the matcher cannot tell where the laser is."""
+        return bool(UNKNOWN_VARIANCE <= self.covariance[2, 2] < ANEW_VARIANCE)
+
+    @property
+    def anew(self) -> bool:
+        """Whether the track begins here, the way to it unknown."""
+        return bool(self.covariance[2, 2] >= ANEW_VARIANCE)
+
+
+def lost_covariance() -> NDArray[np.float64]:
+    """Return the covariance (3, 3) of a lost motion."""
+    return np.diag((UNKNOWN_VARIANCE,) * 3)
+
+
+def anew_covariance() -> NDArray[np.float64]:
+    """Return the covariance (3, 3) of a motion that begins anew."""
+    return np.diag((ANEW_VARIANCE,) * 3)
 
 
 def following(first: Motion, second: Motion) -> Motion:
-    """Return the second motion as it is seen when the scan of the first is left out."""
+    """Return the second motion, not a lost one, as it is seen when the scan of the first is left out."""
+    if first.lost or second.anew:
+        return second
     old_t_new = between(first.odom_t_laser, second.odom_t_laser)
+    if first.anew:
+        return replace(second, covariance=anew_covariance())
     return Motion(
         stamp_ns=second.stamp_ns,
         odom_t_laser=second.odom_t_laser,

@@ -12,14 +12,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.matching import Matcher, MatchingConfig
-from processing.motion import UNKNOWN_VARIANCE, Motion
+from processing.matching import Matcher, Matching, MatchingConfig
+from processing.motion import Motion, anew_covariance, lost_covariance
 from processing.ndt import Ndt, NdtConfig
 from processing.observability import view, widened
-from processing.prediction import ConstantVelocity, PredictionConfig, exponential, turned
+from processing.prediction import ConstantVelocity, PredictionConfig, Prior, exponential, turned
 from processing.saliency import Resampler, ResamplingConfig
 from processing.scan import Beams, Scan
 from processing.se2 import Pose, between, compose, snap_yaw, transform
+from processing.tracking import Watch
 
 Points = NDArray[np.float64]
 
@@ -69,6 +70,7 @@ class Match:
 
     motion: Motion
     state: Tracking
+    """LOST when no scan has fitted for 0.4 s; until then a scan that does not fit has a lost motion only."""
     blind_rad: float | None
     """Direction, laser frame, in which the scan says nothing; None if there is none."""
     score: float
@@ -108,44 +110,71 @@ class LaserOdometry:
         Raises:
             ValueError: it has other beams than the first.
         """
-        resampler, middle_s = self._prepare(scan)
-        first = not self._keys
-        prior = None if first else self._filter.advance((1 + missed) * scan.beams.period_s)
+        resampler, middle_s, watch = self._prepare(scan)
+        duration_s = (1 + missed) * scan.beams.period_s
+        prior = watch.expect(self._filter, duration_s) if self._keys else None
         twist = self._filter.twist if self.config.deskew else np.zeros(3)
-        resampler.points(scan, twist, middle_s)
+        ends = resampler.points(scan, twist, middle_s)
         points = resampler.means()
-        score, evaluations, unseen = 0.0, 0, np.zeros((0, 2))
+        matching, fits, unseen = None, False, np.zeros((0, 2))
         if prior is not None and len(points) > 0:
-            matching = self._matcher.match(points, self._reference, prior)
+            matching, fits = self._locate(points, prior, watch)
+        if prior is not None and not fits:
+            watch.miss(self._filter, missed)
+        if prior is not None and matching is not None and not watch.lost:
+            # One that does not fit may still tell a little, as long as it is not known to be wrong.
             seen = view(matching.information)
             pose = seen.hold(matching.pose, prior.pose)
             self._filter.correct(pose, turned(seen.information, -pose[2]))
             unseen = _in_laser(seen.unseen, pose[2])
             self._filter.bound(unseen)
-            score, evaluations = matching.score, matching.evaluations
-        key = len(points) > 0 and self._is_key()
+        anew = len(points) > 0 and (prior is None or watch.hopeless)
+        if anew:
+            watch.begin()
+            self._keys.clear()
+            self._filter.forget_velocity()
+        if anew or fits:
+            watch.remember(transform(self._filter.pose, ends))
+        key = anew or (fits and self._is_key())
         if key:
             self._remember(points)
         return Match(
-            motion=self._motion(scan, middle_s, unseen, lost=len(points) == 0 and not first),
-            state=Tracking.LOST if len(points) == 0 else _state(unseen),
+            motion=self._motion(scan, middle_s, unseen, fits, anew),
+            state=Tracking.LOST if watch.lost or not self._keys else _state(unseen),
             blind_rad=_axis(unseen),
-            score=score,
+            score=0.0 if matching is None else matching.score,
             points_laser=transform(exponential(self._filter.twist * middle_s), points),
             key=key,
-            evaluations=evaluations,
+            evaluations=0 if matching is None else matching.evaluations,
         )
 
-    def _prepare(self, scan: Scan) -> tuple[Resampler, float]:
+    def _locate(self, points: Points, prior: Prior, watch: Watch) -> tuple[Matching, bool]:
+        """Match the scan where it is expected; where it does not fit there, look farther.
+
+        Returns:
+            The best match, and whether the scan fits there.
+        """
+        matching = self._matcher.match(points, self._reference, prior)
+        if watch.accept(matching, anyhow=self.config.reference == "previous_scan"):
+            return matching, True
+        followed = watch.follow(points, prior, self._matcher, self._reference)
+        if followed is not None:
+            return followed, True
+        points_odom = np.concatenate([key.points_odom for key in self._keys])
+        found = watch.find(points, matching, self._filter, self._matcher, self._reference, points_odom)
+        return (matching, False) if found is None else (found, True)
+
+    def _prepare(self, scan: Scan) -> tuple[Resampler, float, Watch]:
         """Learn the beams from the first scan, and hold every other scan to them."""
         if self._beams is None:
             self._beams = scan.beams
             self._resampler = Resampler(self.config.resampling, scan.beams)
+            self._watch = Watch(scan.beams.period_s, self.config.ndt)
         elif scan.beams.count != self._beams.count:
             raise ValueError(
                 f"scan of {scan.beams.count} beams, must be {self._beams.count} as the first scan"
             )
-        return self._resampler, 0.5 * scan.beams.sweep_s if self.config.deskew else 0.0
+        return self._resampler, 0.5 * scan.beams.sweep_s if self.config.deskew else 0.0, self._watch
 
     def _is_key(self) -> bool:
         if not self._keys or self.config.reference == "previous_scan":
@@ -163,10 +192,13 @@ class LaserOdometry:
         del self._keys[:-kept]
         self._reference.build(np.concatenate([key.points_odom for key in self._keys]))
 
-    def _motion(self, scan: Scan, middle_s: float, unseen: Points, lost: bool) -> Motion:
-        covariance = widened(self._filter.covariance[:3, :3], unseen, scan.beams.period_s)
-        if lost:
-            covariance = np.diag((UNKNOWN_VARIANCE,) * 3)
+    def _motion(self, scan: Scan, middle_s: float, unseen: Points, fits: bool, anew: bool) -> Motion:
+        if anew:
+            covariance = anew_covariance()
+        elif not fits:
+            covariance = lost_covariance()
+        else:
+            covariance = widened(self._filter.covariance[:3, :3], unseen, self._watch.since_s)
         return Motion(
             stamp_ns=scan.stamp_ns,
             odom_t_laser=snap_yaw(compose(self._filter.pose, exponential(-self._filter.twist * middle_s))),

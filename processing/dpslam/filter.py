@@ -52,7 +52,7 @@ class MapStep:
     closed: bool
     """Whether a loop was closed: the whole path has moved."""
     lost: bool
-    """Whether the laser is being searched for; the pose is then a guess, and nothing is mapped."""
+    """Whether the scan fits nowhere, or the laser is searched for; the pose is a guess, nothing is mapped."""
     places: tuple[Pose, ...]
     """While lost: the places on the map that fit equally well."""
 
@@ -91,17 +91,20 @@ class DpSlam:
         if strange:
             # The odometry of another session starts anywhere.
             self._odom = self._key_odom = odom
-        self._covariance = carried(self._covariance, se2.between(self._odom, odom)) + motion.covariance
-        self._odom = odom
+        if not motion.lost:
+            self._covariance = carried(self._covariance, se2.between(self._odom, odom)) + motion.covariance
+            self._odom = odom
         self._trail.add(scan.stamp_ns, odom)
         if strange and self.population.keys:
             self._trail.break_off()
         key_t_laser = se2.between(self._key_odom, odom)
-        if self._covariance[2, 2] >= UNKNOWN_VARIANCE and self._search is None and self.population.keys:
-            self._search = Search(self._predicted(key_t_laser))
-            self._trail.break_off()
         if motion.lost:
-            return self._answer(key_t_laser)
+            # It belongs nowhere; the next motion that is known vouches for the way over it.
+            return self._answer(key_t_laser, lost=True)
+        if motion.anew and self.population.keys:
+            # What was gathered before is not held together with what comes.
+            self._search = Search(self._predicted(key_t_laser) if self._search is None else None)
+            self._trail.break_off()
         if self._search is not None:
             return self._look(self._search, self._sweeper.take(scan, motion), key_t_laser)
         if self.population.keys and not self._is_key(key_t_laser):
@@ -242,7 +245,12 @@ class DpSlam:
         return bool(way >= c.key_distance_m or abs(key_t_laser[2]) >= c.key_rotation_rad)
 
     def _answer(
-        self, key_t_laser: Pose, updated: bool = False, resampled: bool = False, closed: bool = False
+        self,
+        key_t_laser: Pose,
+        updated: bool = False,
+        resampled: bool = False,
+        closed: bool = False,
+        lost: bool = False,
     ) -> MapStep:
         people = self.population
         return MapStep(
@@ -253,7 +261,7 @@ class DpSlam:
             n_eff=effective_size(people.log_weights),
             resampled=resampled,
             closed=closed,
-            lost=self._search is not None,
+            lost=lost or self._search is not None,
             places=() if self._search is None else self._search.found.places,
         )
 

@@ -97,10 +97,12 @@ def test_the_odometry_goes_on_with_whatever_comes(sequence):
         for scan in sequence:
             match = odometry.step(scan)
             assert_sane(match)
-            # The frame of the odometry is where the first points are seen: nothing is lost before.
-            assert match.motion.lost == (begun and len(valid(scan)) == 0)
-            assert (match.state is Tracking.LOST) == (len(valid(scan)) == 0)
-            begun = begun or len(valid(scan)) > 0
+            seen = len(valid(scan)) > 0
+            # The frame of the odometry is where the first points are seen.
+            assert match.motion.anew == (seen and not begun)
+            assert match.motion.lost or seen
+            begun = begun or seen
+            assert begun or match.state is Tracking.LOST
 
 
 @settings(max_examples=20, deadline=None)
@@ -123,9 +125,9 @@ def test_after_scans_without_a_point_the_track_is_taken_up_again():
     wall = Scan(
         0, (1.5 / np.maximum(abs(np.cos(bearings)), abs(np.sin(bearings)))).astype(np.float32), nothing.beams
     )
-    states = [odometry.step(scan).state for scan in (nothing, wall, wall, nothing, wall, wall)]
-    assert states[3] is Tracking.LOST
-    assert states[-1] is Tracking.TRACKING
+    matches = [odometry.step(scan) for scan in (nothing, wall, wall, *(nothing,) * 4, wall, wall)]
+    assert [match.motion.lost for match in matches] == [True, False, False, *(True,) * 4, False, False]
+    assert [match.state is Tracking.LOST for match in matches[3:]] == [*(False,) * 3, True, False, False]
     np.testing.assert_allclose(odometry.step(wall).motion.odom_t_laser, 0.0, atol=0.02)
 
 

@@ -11,7 +11,7 @@ from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.filter import DpSlam
 from processing.dpslam.relocation import relocate
 from processing.dpslam.sweep import Sweeper
-from processing.motion import UNKNOWN_VARIANCE, Motion
+from processing.motion import Motion, anew_covariance, lost_covariance
 from processing.scan import Beams, Scan
 
 LASER = Urg04lx()
@@ -156,10 +156,10 @@ def test_carried_away_blind_it_is_found_where_it_was_put_down(mapped):
     states = []
     for number in range(150, 260):
         scan, motion, _ = course[number]
-        unknown = np.diag((UNKNOWN_VARIANCE,) * 3) if number < 155 else KNOWN
-        if number >= 155:
+        covariance = lost_covariance() if number < 155 else anew_covariance() if number == 155 else KNOWN
+        if number > 155:
             odom = se2.compose(odom, se2.between(poses[number - 1], poses[number]))
-        states.append(robot.step(scan, moved(motion, odom, unknown)))
+        states.append(robot.step(scan, moved(motion, odom, covariance)))
     assert states[0].lost
     assert not states[-1].lost
     distance, _ = off(states[-1].map_t_laser, poses[259])

@@ -1,0 +1,145 @@
+"""Finding a lost laser on the local map: is there one place, and only one, where its scan fits?
+
+The farther back the last good scan is, the farther away the laser is looked for. A place counts when the scan
+fits there nearly as scans usually do, and when no other place in reach comes near it. In a plain corridor
+there are no places: there, for a moment, the laser counts as being where it was lost.
+"""
+
+import numpy as np
+
+from processing import wide_match
+from processing.matching import Matcher, Matching
+from processing.ndt import Ndt, Points
+from processing.observability import view
+from processing.prediction import ConstantVelocity, Prior, turned
+from processing.se2 import Pose, between
+
+CELL_M = 0.1
+FIT_M = 0.12
+"""Blur of the walls in the wide search."""
+SIGHT_M = 10.0
+"""Points farther away are left out: the step of the search in rotation falls with the farthest point."""
+LEAST_FIT = 0.6
+"""Share of the points that must find their wall."""
+AGAIN = 0.7
+"""Share of the usual score at which the laser is found again."""
+ALIKE = 0.8
+"""A second place with this share of the best one's score makes the first one nobody's."""
+APART_M = 0.5
+APART_RAD = 0.3
+"""Places nearer to each other than this are one."""
+GRAIN = np.array((0.1, 0.1, 0.03))
+"""How far the polish may go from a place of the wide search; m, m, rad."""
+
+REACH_M = 0.6
+REACH_RAD = 1.3
+"""How far the laser is looked for at once,"""
+SPEED_M_S = 1.5
+TURN_RAD_S = 1.0
+"""and by how much farther with every second."""
+MOMENT_S = 2.0
+"""For so long the track is taken up in a corridor where it was lost."""
+PATIENCE_S = 3.0
+"""After so much time of seeing, a new local map begins."""
+LEAST_POINTS = 20
+COVER_M = 0.3
+"""A laser that sees fewer points, or nearly all of them nearer than this, is covered."""
+
+
+class Recovery:
+    """Looks for the laser from the first scan that did not fit on."""
+
+    def __init__(self, filter_: ConstantVelocity, since_s: float) -> None:
+        self._held = filter_.pose.copy()
+        self._covariance = filter_.covariance[:3, :3].copy()
+        self._field: wide_match.Field | None = None
+        self.since_s = since_s
+        """Time since the last good scan."""
+        self._seeing_s = 0.0
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether the laser sees enough, has done so for long, and is nowhere on the local map."""
+        return self._seeing_s >= PATIENCE_S
+
+    def stand(self, filter_: ConstantVelocity) -> Prior:
+        """Hold the filter where the track was lost, with the doubt of a way that nobody saw."""
+        self.arrive(filter_, self._held)
+        covariance = filter_.covariance[:3, :3]
+        return Prior(filter_.pose, turned(np.asarray(np.linalg.inv(covariance)), self._held[2]))
+
+    def arrive(self, filter_: ConstantVelocity, pose: Pose) -> None:
+        """Put the filter at a pose (3,), at rest, with the doubt of a way that nobody saw."""
+        filter_.forget_velocity()
+        filter_.pose = pose.copy()
+        start = np.diag(filter_.covariance)[3:6]
+        filter_.covariance[:3, :3] = self._covariance + np.diag(start * self.since_s**2)
+
+    def look(
+        self,
+        points: Points,
+        near: Matching,
+        matcher: Matcher,
+        reference: Ndt,
+        points_odom: Points,
+        usual: float,
+    ) -> Matching | None:
+        """Return where the scan fits, if it is one place.
+
+        Args:
+            points: (N, 2) of the scan, N >= 1.
+            near: The best match around where the laser was expected.
+            matcher: Polishes.
+            reference: The local map, and
+            points_odom: (M, 2) the points that it was made of.
+            usual: Score of scans that fit.
+        """
+        found = [near, *self._places(points, near.pose, matcher, reference, points_odom)]
+        best = max(found, key=lambda matching: matching.score)
+        if best.score < AGAIN * usual:
+            return None
+        if len(view(best.information).unseen):
+            expected = near.score >= ALIKE * best.score and near.score >= AGAIN * usual
+            return near if expected and self.since_s < MOMENT_S else None
+        rivals = [other for other in found if _apart(best.pose, other.pose)]
+        return None if any(other.score > ALIKE * best.score for other in rivals) else best
+
+    def see(self, points: Points, duration_s: float) -> None:
+        """Count the time in which the laser saw enough to be found, and was not."""
+        if not covered(points):
+            self._seeing_s += duration_s
+
+    def _places(
+        self, points: Points, guess: Pose, matcher: Matcher, reference: Ndt, points_odom: Points
+    ) -> list[Matching]:
+        query = points[np.hypot(points[:, 0], points[:, 1]) < SIGHT_M]
+        if len(query) < LEAST_POINTS:
+            return []
+        if self._field is None:
+            around = (np.abs(points_odom - self._held[:2]) < SIGHT_M + SPEED_M_S * PATIENCE_S).all(axis=1)
+            if not around.any():
+                return []
+            self._field = wide_match.build_field(points_odom[around], CELL_M, FIT_M, 0.5)
+        reach_m = REACH_M + SPEED_M_S * min(self.since_s, PATIENCE_S)
+        reach_rad = min(REACH_RAD + TURN_RAD_S * self.since_s, np.pi)
+        window = (guess, reach_m, reach_rad, LEAST_FIT)
+        result = wide_match.search(self._field, query, *window, APART_M, APART_RAD)
+        if result is None:
+            return []
+        places = [result.best] if result.rival is None else [result.best, result.rival]
+        return [
+            matcher.match(points, reference, Prior(place.map_t_points, np.diag(1.0 / GRAIN**2)), 2.0 * GRAIN)
+            for place in places
+        ]
+
+
+def covered(points: Points) -> bool:
+    """Whether points (N, 2), laser frame, are too few or too near to be a view of anything."""
+    if len(points) < LEAST_POINTS:
+        return True
+    return bool(np.quantile(np.hypot(points[:, 0], points[:, 1]), 0.8) < COVER_M)
+
+
+def _apart(one: Pose, other: Pose) -> bool:
+    off = between(one, other)
+    return bool(np.hypot(off[0], off[1]) >= APART_M or abs(off[2]) >= APART_RAD)

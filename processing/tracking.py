@@ -1,0 +1,141 @@
+"""Whether the laser is still where the track has it: each score is judged against what is usual here.
+
+A scan that fits its place scores about as the scans before it did, whatever the scene; one taken elsewhere
+scores a fraction of that, and does not fit the scan before it either. Such a bad scan does not become a part
+of the local map, so that a wrong place cannot make itself at home. The laser is looked for around at once;
+when that finds nothing for too long, the track is lost, and the search grows (`recovery`).
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from processing.matching import Matcher, Matching
+from processing.ndt import Ndt, NdtConfig, Points
+from processing.prediction import ConstantVelocity, Prior
+from processing.recovery import Recovery
+
+FIT = 0.5
+"""Share of the usual score from which a scan fits.
+
+On real logs one scan in some thousands scores less where it is; carried elsewhere, most score under 0.3.
+"""
+CONTINUOUS = 0.27
+"""Score on the last good scan from which two scans are of one place.
+
+Neighbouring scans of real logs score 0.29 and more on each other, other pairs mostly under 0.1.
+"""
+USUAL_S = 5.0
+"""For how long a score counts as usual."""
+LOST_S = 0.4
+"""After so much time without a good scan the track is lost; a hand before the laser is no loss at once."""
+
+
+class Watch:
+    """Knows the usual score, how long no scan has fitted, and where to look for the laser then."""
+
+    def __init__(self, period_s: float, ndt: NdtConfig) -> None:
+        self._share = min(1.0, period_s / USUAL_S)
+        # As near to the wait as scans come.
+        self._patience = max(1, round(LOST_S / period_s))
+        self._usual = 0.0
+        self._misses = 0
+        self._duration_s = period_s
+        self.since_s = period_s
+        """Time from the last good scan to this one."""
+        self._recovery: Recovery | None = None
+        self._before = Ndt(ndt, capacity=1024)
+        self._last: Points = np.zeros((0, 2))
+
+    @property
+    def lost(self) -> bool:
+        """Whether it has been too long since a scan fitted."""
+        return self._misses >= self._patience
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether it is time to begin anew: the laser sees, and is nowhere on the local map."""
+        return self.lost and self._recovery is not None and self._recovery.hopeless
+
+    def begin(self) -> None:
+        """Forget what is usual: a new local map begins."""
+        self._usual, self._misses, self._recovery = 0.0, 0, None
+
+    def expect(self, filter_: ConstantVelocity, duration_s: float) -> Prior:
+        """Let time pass; say where the laser should be: a lost one counts as standing where it was."""
+        self._duration_s = duration_s
+        self.since_s = duration_s if self._recovery is None else self.since_s + duration_s
+        if self._recovery is None:
+            return filter_.advance(duration_s)
+        self._recovery.since_s = self.since_s
+        return self._recovery.stand(filter_) if self.lost else filter_.advance(duration_s)
+
+    def accept(self, matching: Matching, anyhow: bool = False) -> bool:
+        """Judge a match, or take it `anyhow`; one that fits goes into what is usual."""
+        if not anyhow and (self.lost or matching.score < FIT * self._usual):
+            return False
+        self._good(matching.score)
+        return True
+
+    def remember(self, points_odom: Points) -> None:
+        """Keep the points (N, 2) of the last good scan."""
+        self._last = points_odom
+
+    def follow(self, points: Points, prior: Prior, matcher: Matcher, reference: Ndt) -> Matching | None:
+        """Match a scan that does not fit the local map by way of the last good scan, if it fits that.
+
+        Where the map is poor, two scans of one place still fit each other.
+
+        Args:
+            points: (N, 2) of the scan, N >= 1.
+            prior: Where it should be.
+            matcher: Matches.
+            reference: The local map.
+        """
+        if self.lost:
+            return None
+        self._before.build(self._last)
+        step = matcher.match(points, self._before, prior)
+        if step.score < CONTINUOUS:
+            return None
+        expected = Prior(step.pose, prior.information + step.information)
+        matching = matcher.match(points, reference, expected)
+        self._misses, self._recovery = 0, None
+        return replace(matching, information=step.information + matching.information)
+
+    def find(
+        self,
+        points: Points,
+        near: Matching,
+        filter_: ConstantVelocity,
+        matcher: Matcher,
+        reference: Ndt,
+        points_odom: Points,
+    ) -> Matching | None:
+        """Look for the laser farther away; where it is found, the filter goes on from there.
+
+        Args:
+            points: (N, 2) of the scan, N >= 1.
+            near: The match that was not accepted.
+            filter_: Of the motion.
+            matcher: Polishes places.
+            reference: The local map, and
+            points_odom: (M, 2) the points that it was made of.
+        """
+        self._recovery = self._recovery or Recovery(filter_, self._duration_s)
+        found = self._recovery.look(points, near, matcher, reference, points_odom, self._usual)
+        if found is None:
+            self._recovery.see(points, self._duration_s)
+            return None
+        self._recovery.arrive(filter_, found.pose)
+        self._good(found.score)
+        return found
+
+    def miss(self, filter_: ConstantVelocity, missed: int) -> None:
+        """Note a scan that told nothing, and the missing ones before it."""
+        self._recovery = self._recovery or Recovery(filter_, self._duration_s)
+        self._misses += 1 + missed
+
+    def _good(self, score: float) -> None:
+        self._misses, self._recovery = 0, None
+        self._usual = score if self._usual == 0.0 else self._usual + self._share * (score - self._usual)
