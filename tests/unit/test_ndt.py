@@ -19,6 +19,8 @@ CONFIGS = [
     NdtConfig(),
     NdtConfig(flat_stretch=1.0),
     NdtConfig(cell_m=1.0, min_points=5, min_deviation_m=0.05, flat_ratio=0.3, flat_stretch=20.0),
+    # The least ratio of the variances decides before a cell counts as flat.
+    NdtConfig(min_ratio=0.1, flat_ratio=0.02),
 ]
 HERE = np.zeros(3)
 
