@@ -56,7 +56,7 @@ def configuration() -> str:
     """Return the page of all parameters."""
     from runtime import graph
     from runtime.graph import Graph, NodeSpec
-    from runtime.nodes.offline import OfflineConfig
+    from runtime.nodes.offline_config import OfflineConfig
 
     parts = [_CONFIG_HEAD, "## The graph\n", _table(_rows(Graph, ""))]
     parts += ["## One process of a graph\n", _table(_rows(NodeSpec, ""))]

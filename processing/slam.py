@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.filter import DpSlam, MapStep
+from processing.dpslam.resume import Returning
 from processing.occupancy import OccupancyGrid
 from processing.odometry import LaserOdometry, Match, OdometryConfig
 from processing.scan import Scan
@@ -30,12 +31,20 @@ class Step:
 
 
 class Slam:
-    """Scans in, maps out; the same scans, configuration and seed give the same bits."""
+    """Scans in, maps out; the same scans, configuration and seed give the same bits.
 
-    def __init__(self, config: SlamConfig | None = None, seed: int = 0) -> None:
+    Args:
+        config: Of both.
+        seed: Of both.
+        mapping: Another mapper than a fresh one, such as one that goes on from a saved map.
+    """
+
+    def __init__(
+        self, config: SlamConfig | None = None, seed: int = 0, mapping: DpSlam | Returning | None = None
+    ) -> None:
         self.config = config or SlamConfig()
         self.odometry = LaserOdometry(self.config.odometry, seed)
-        self.mapping = DpSlam(self.config.mapping, seed)
+        self.mapping = mapping or DpSlam(self.config.mapping, seed)
 
     def step(self, scan: Scan) -> Step:
         """Take the next scan; raises ValueError if it has other beams than the first."""

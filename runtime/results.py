@@ -10,7 +10,7 @@ import os
 import platform
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime import session
 from runtime.config import plain, to_yaml
 from runtime.errors import ConfigError
-from runtime.formats.map_server import GridMap, write_map
+from runtime.formats.map_server import GridMap, write_keep_out, write_map
 from runtime.formats.tum import write_tum
 from runtime.picture import png, render
 
@@ -51,6 +52,10 @@ class RunResult:
     caption: str = ""
     report: str = ""
     """A page about the run, see `runtime.report`; not written if empty."""
+    session: Callable[[Path], None] | None = None
+    """Writes the session to a path; see `runtime.session`."""
+    keep_out: NDArray[np.bool_] | None = None
+    """(rows, cols) of the grid that a robot shall keep out of; a mask of its own if there is any."""
 
 
 def save(folder: Path, result: RunResult) -> None:
@@ -64,6 +69,8 @@ def save(folder: Path, result: RunResult) -> None:
         write_tum(partial / "trajectory.tum", result.stamps_ns, result.trajectory)
         write_tum(partial / "odometry.tum", result.stamps_ns, result.odometry)
         write_map(partial, result.grid)
+        if result.keep_out is not None and result.keep_out.any():
+            write_keep_out(partial, result.keep_out, result.grid)
         grid = result.grid
         picture = render(
             grid.probability, grid.resolution_m, grid.origin_m, result.path_m, caption=result.caption
@@ -71,6 +78,8 @@ def save(folder: Path, result: RunResult) -> None:
         (partial / "map.png").write_bytes(png(picture))
         if result.report:
             (partial / "report.html").write_text(result.report, encoding="utf-8")
+        if result.session is not None:
+            result.session(partial / session.FILE)
         (partial / "metrics.json").write_text(to_json(result.metrics), encoding="utf-8")
         (partial / RUN_FILE).write_text(to_json(result.run), encoding="utf-8")
 

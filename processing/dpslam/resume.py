@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.filter import DpSlam, MapStep
 from processing.dpslam.finding import Finder
+from processing.dpslam.layer import Layer
 from processing.dpslam.past import Past, joined, past_of, rebuild
 from processing.dpslam.population import Population
 from processing.dpslam.sweep import Sweeper
@@ -29,15 +30,23 @@ class Returning:
         config: Of the mapper; it need not be that of the saved map.
         seed: Of its random numbers.
         fixed: The saved map stays as it is: the laser is followed on it, and nothing is mapped.
+        layer: What is painted on the saved map: the drive is found, and followed, on the map as painted.
     """
 
     def __init__(
-        self, past: Past, config: DpSlamConfig | None = None, seed: int = 0, fixed: bool = False
+        self,
+        past: Past,
+        config: DpSlamConfig | None = None,
+        seed: int = 0,
+        *,
+        fixed: bool = False,
+        layer: Layer | None = None,
     ) -> None:
         self.config = config or DpSlamConfig()
         self.seed, self.fixed = seed, fixed
-        self._past = past
+        self._past, self._layer = past, layer or Layer.none()
         saved = rebuild(past, self.config, seed)
+        self._layer.write_on(saved.population.store, past.map_t_laser)
         self.finder = Finder(saved.population.store, saved.population.best)
         self._mapper = DpSlam(self.config, seed)
         self._sweeper: Sweeper | None = None
@@ -84,6 +93,8 @@ class Returning:
         both = joined(self._past, own.unseen() if self.fixed else own, len(own.keys) - 1, map_t_laser)
         self._mapper = rebuild(both, self.config, self.seed, going_on=True, fixed=self.fixed)
         self._drives, self.found = both.drives, True
+        if self.fixed:
+            self._layer.write_on(self._mapper.population.store, both.map_t_laser)
         people = self._mapper.population
         return replace(
             step, map_t_laser=map_t_laser, particles=people.poses.copy(), closed=True, lost=False, places=()

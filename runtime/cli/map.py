@@ -15,7 +15,8 @@ from runtime.errors import ConfigError, DataLostError, PositionLostError
 
 if TYPE_CHECKING:
     from runtime.formats.laser_log import LaserLog
-    from runtime.nodes.offline import OfflineConfig, OfflineRun
+    from runtime.nodes.offline import OfflineRun
+    from runtime.nodes.offline_config import OfflineConfig
 
 MAX_SEED = 2**63
 
@@ -69,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _config(path: Path | None, log: "LaserLog") -> "OfflineConfig":
     from runtime.config import load
-    from runtime.nodes.offline import OfflineConfig, recorded_config
+    from runtime.nodes.offline_config import OfflineConfig, recorded_config
 
     if path is not None:
         return load(OfflineConfig, path)

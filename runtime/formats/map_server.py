@@ -61,6 +61,23 @@ def write_map(folder: Path, grid: GridMap, name: str = "map") -> None:
     (folder / f"{name}.yaml").write_text(map_yaml(f"{name}.pgm", grid), encoding="ascii")
 
 
+def write_keep_out(folder: Path, keep_out: NDArray[np.bool_], grid: GridMap, name: str = "keepout") -> None:
+    """Write `name.pgm` and `name.yaml`: the mask of nav2's keep-out filter, of the same cells as the map.
+
+    Served by a map_server of its own beside a costmap_filter_info_server of type 0, base 0 and multiplier 1;
+    see nav2's "Navigating with Keepout Zones".
+
+    Args:
+        folder: Where.
+        keep_out: (rows, cols) row 0 has the lowest y.
+        grid: The map.
+        name: Of both files, without ending.
+    """
+    picture = np.where(keep_out, OCCUPIED, FREE).astype(np.uint8)[::-1]
+    (folder / f"{name}.pgm").write_bytes(pgm_bytes(picture))
+    (folder / f"{name}.yaml").write_text(map_yaml(f"{name}.pgm", grid), encoding="ascii")
+
+
 def read_map(path: Path) -> GridMap:
     """Load a map from its YAML as map_server does in trinary mode: occupied 1, free 0, unknown NaN.
 

@@ -4,8 +4,8 @@ No clock is read here: the same log, configuration and seed give the same result
 """
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,54 +13,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing import se2
+from processing.dpslam.filter import DpSlam
+from processing.dpslam.layer import Layer
+from processing.dpslam.past import past_of
+from processing.dpslam.resume import Returning
+from processing.occupancy import OccupancyGrid
 from processing.scan import Scan, end_points
-from processing.slam import Slam, SlamConfig, Step
+from processing.slam import Slam, Step
 from runtime.config import to_yaml
 from runtime.formats.laser_log import LaserLog
 from runtime.formats.map_server import GridMap
+from runtime.messages import encode
+from runtime.nodes.convert import scan_to_message
+from runtime.nodes.log_scans import iterate
+from runtime.nodes.offline_config import OfflineConfig
 from runtime.nodes.offline_report import Diary
+from runtime.nodes.saved import Saved, about, grid_map, parts_of
 from runtime.results import RunResult, provenance
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OfflineConfig:
-    """Everything that decides a map, apart from log and seed."""
-
-    slam: SlamConfig = field(default_factory=SlamConfig)
-    laser_in_base: tuple[float, float, float] | None = None
-    """Mounting of the laser: x, y (m) and yaw (rad) in the base frame; the poses are then the base's."""
-
-    def __post_init__(self) -> None:
-        if self.laser_in_base is not None and not np.all(np.isfinite(self.laser_in_base)):
-            raise ValueError(f"laser_in_base = {self.laser_in_base}, must be three finite numbers")
-
-
-def recorded_config(text: str, where: str) -> OfflineConfig:
-    """Return the configuration under which a recorded run mapped, from the YAML in its recording.
-
-    Raises:
-        ConfigError: A parameter in it does not exist here; the text names it.
-    """
-    from runtime.config import build, parse_yaml
-
-    data = parse_yaml(text, where)
-    nodes = data.get("nodes") if isinstance(data, dict) else None
-    if not isinstance(nodes, dict):
-        return OfflineConfig()
-    parts: dict[str, Any] = {}
-    for node, part in (("matcher", "odometry"), ("mapper", "mapping")):
-        config = nodes.get(node)
-        if isinstance(config, dict) and part in config:
-            parts[part] = config[part]
-    return OfflineConfig(slam=build(SlamConfig, parts, f"{where}: nodes"))
+from runtime.session import SessionWriter
 
 
 class OfflineRun:
-    """Feeds scans to the pipeline and keeps what the results need."""
+    """Feeds scans to the pipeline and keeps what the results need.
 
-    def __init__(self, config: OfflineConfig, seed: int) -> None:
-        self._config, self._seed = config, seed
-        self._slam = Slam(config.slam, seed)
+    Args:
+        config: Of everything.
+        seed: Of everything.
+        saved: A saved map on which the drive begins, somewhere.
+        fixed: That map stays as it is: the laser is only followed on it.
+    """
+
+    def __init__(
+        self, config: OfflineConfig, seed: int, saved: Saved | None = None, fixed: bool = False
+    ) -> None:
+        self._config, self._seed, self._saved, self._fixed = config, seed, saved, fixed
+        mapping: DpSlam | Returning = DpSlam(config.slam.mapping, seed)
+        if saved is not None:
+            mapping = Returning(saved.past, config.slam.mapping, seed, fixed=fixed, layer=saved.layer)
+        self._mapping = mapping
+        self._slam = Slam(config.slam, seed, mapping)
         self._stamps_ns: list[int] = []
         self._odometry: list[se2.Pose] = []
         self._points_laser: list[NDArray[np.float32]] = []
@@ -88,17 +79,22 @@ class OfflineRun:
             extra: What else the run has to say of itself.
         """
         self._slam.finish()
-        stamps_ns, trajectory = self._slam.trajectory()
+        first, layer = self._first_scan, self._layer
+        all_stamps_ns, every_pose = self._slam.trajectory()
+        stamps_ns, trajectory = all_stamps_ns[first:], every_pose[first:]
         odometry = np.array(self._odometry).reshape(-1, 3)
         if not np.array_equal(stamps_ns, self._stamps_ns):
             raise AssertionError("the trajectory must hold one pose for each scan, in order")
-        occupancy = self._slam.occupancy()
-        grid = GridMap(occupancy.probability, occupancy.resolution_m, occupancy.origin_m)
+        seen = self._slam.occupancy()
+        path = self._mapping.population.path
+        occupancy = layer.over(seen, path)
+        grid = grid_map(occupancy)
         run = provenance(self._seed, log.path) | {
             "format": log.kind,
             "topic": log.topic,
             "frame": "laser" if self._config.laser_in_base is None else "base_link",
             "scans": {"in_log": len(log), "used": len(stamps_ns)},
+            **self._on_saved(),
             "notices": [notice.replace(str(log.path), log.path.name) for notice in log.notices + log.losses],
         }
         report = self._diary.tell(
@@ -110,7 +106,10 @@ class OfflineRun:
             notices=run["notices"],
             config=to_yaml(self._config),
         )
+        every = (all_stamps_ns, every_pose)
         return RunResult(
+            session=self._session_writer(log, seen, every, about(run)),
+            keep_out=layer.keep_out(occupancy, path),
             report=report,
             config=self._config,
             stamps_ns=np.asarray(stamps_ns, dtype=np.int64),
@@ -122,6 +121,51 @@ class OfflineRun:
             run=run | dict(extra or {}),
             caption=f"{log.path.name}, {len(stamps_ns)} scans, laser alone",
         )
+
+    @property
+    def found(self) -> bool:
+        """Whether the drive was found on the saved map; true where there is none."""
+        return not isinstance(self._mapping, Returning) or self._mapping.found
+
+    @property
+    def _first_scan(self) -> int:
+        return self._mapping.first_scan if isinstance(self._mapping, Returning) else 0
+
+    @property
+    def _layer(self) -> Layer:
+        """What is painted on the map that comes out; a drive that was not found has a map of its own."""
+        return self._saved.layer if self._saved is not None and self.found else Layer.none()
+
+    def _on_saved(self) -> dict[str, Any]:
+        """Return what the run has to say of the saved map."""
+        if self._saved is None:
+            return {}
+        session = self._saved.session
+        return {"session": {"name": session.path.name, "drives": session.drives, "found": self.found}}
+
+    def _session_writer(
+        self,
+        log: LaserLog,
+        seen: OccupancyGrid,
+        every: tuple[NDArray[np.int64], se2.Pose],
+        head: dict[str, str],
+    ) -> Callable[[Path], None] | None:
+        """Return what writes the session; None where no map was made that one could go on with."""
+        if self._fixed or self._mapping.population.keys == 0:
+            return None
+        past = self._mapping.past() if isinstance(self._mapping, Returning) else past_of(self._mapping)
+        parts = parts_of(past, self._layer, seen, to_yaml(self._config), every)
+
+        def write(path: Path) -> None:
+            writer, drive = SessionWriter(path, head), 1
+            if self._saved is not None and self.found:
+                writer.copy(self._saved.session.path)
+                drive += self._saved.session.drives
+            for scan, _ in zip(iterate(log), self._stamps_ns, strict=False):
+                writer.add(drive, scan.stamp_ns, encode(scan_to_message(scan)))
+            writer.finish(parts)
+
+        return write
 
     def _of_base(self, parent_t_laser: se2.Pose) -> se2.Pose:
         """Return the poses of the base, or of the laser where its mounting is not known."""

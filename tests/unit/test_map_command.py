@@ -15,7 +15,8 @@ from runtime.formats.mcap_log import McapChannel
 from runtime.formats.mcap_writer import McapWriter
 from runtime.formats.tum import read_tum
 from runtime.messages import LaserScan, encode, header
-from runtime.nodes.offline import OfflineConfig, OfflineRun
+from runtime.nodes.offline import OfflineRun
+from runtime.nodes.offline_config import OfflineConfig
 
 SCANS, BEAMS = 24, 181
 STAMPS = [f"{976052857 + i // 10}.{337530 + i % 10 * 60_000:06d}" for i in range(SCANS)]
