@@ -15,6 +15,8 @@ PATH_POSES = 800
 """Of the published trajectory at most: in one piece on every link."""
 WHOLE_NS = 10_000_000_000
 """Whoever comes late and listens to the topics has the present map after so long."""
+PATH_NS = 5_000_000_000
+"""In between, the poses lengthen it for whoever has it."""
 GUESTS_BYTES_PER_S = 250_000
 """Of the map, to all guests together."""
 
@@ -28,6 +30,8 @@ class MapTeller:
         self._told_ns = 0
         self._whole_ns: int | None = None
         self._behind = False  # the whole map that was published lacks the newest changes
+        self._path_behind = False
+        self._path_ns: int | None = None
         self.changed = False
         """Whether there is something to tell."""
         self.size = ""
@@ -40,9 +44,12 @@ class MapTeller:
         if self.changed and now_ns - self._told_ns >= self._period_ns:
             self.changed, self._told_ns = False, now_ns
             self._map(mapping, stamp_ns, now_ns)
-            self._path(mapping, stamp_ns)
+            self._path_behind = True
         elif self._behind and self._whole_is_old(now_ns):
             self._whole(now_ns)
+        if self._path_behind and (self._path_ns is None or now_ns - self._path_ns >= PATH_NS):
+            self._path_behind, self._path_ns = False, now_ns
+            self._path(mapping, stamp_ns)
 
     def _map(self, mapping: DpSlam, stamp_ns: int, now_ns: int) -> None:
         grid = mapping.occupancy()

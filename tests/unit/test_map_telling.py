@@ -97,9 +97,9 @@ def test_the_whole_map_comes_again_after_ten_seconds_even_when_the_robot_stands_
     tell(teller, port, mapping)
     mapping.probability[0, 0] = 0.0
     tell(teller, port, mapping)
-    assert not tell(teller, port, mapping, after_s=5, changed=False).published
+    assert not tell(teller, port, mapping, after_s=4, changed=False).said("map")
     assert len(tell(teller, port, mapping, after_s=5, changed=False).said("map")) == 1
-    assert not tell(teller, port, mapping, after_s=60, changed=False).published
+    assert not tell(teller, port, mapping, after_s=60, changed=False).said("map")
 
 
 def test_a_map_that_grows_is_published_whole_at_once(teller, port):
@@ -114,6 +114,15 @@ def test_the_path_stays_under_the_size_that_a_slow_link_takes_and_keeps_the_newe
     assert map_teller.PATH_POSES / 2 < len(path.poses) <= map_teller.PATH_POSES
     assert path.poses[-1].pose.position.x == 2 * map_teller.PATH_POSES
     assert len(messages.encode(path)) < 60_000
+
+
+def test_the_path_comes_every_five_seconds_while_the_map_changes_and_once_more_after_that(teller, port):
+    mapping = Mapping()
+    told = [len(tell(teller, port, mapping).said("trajectory")) for _ in range(11)]
+    assert told == [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+    tell(teller, port, mapping)
+    told = [len(tell(teller, port, mapping, changed=False).said("trajectory")) for _ in range(10)]
+    assert told == [0, 0, 0, 1, 0, 0, 0, 0, 0, 0]
 
 
 def wait_for(mailbox):
