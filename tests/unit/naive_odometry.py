@@ -135,3 +135,93 @@ class Ndt:
 def _moved(points, pose):
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return [np.array((c * x - s * y + pose[0], s * x + c * y + pose[1])) for x, y in points]
+
+
+class Resampled:
+    """Means of stretches of equal saliency, piece by piece, of points (N, 2) from rays of these numbers."""
+
+    def __init__(self, points, rays, increment_rad, config):
+        self.config = config
+        self.pieces = self._split(points, rays, increment_rad) if len(points) else []
+        self.saliencies = [self._saliency(self._smooth(piece)) for piece in self.pieces]
+        self.means, self.members = self._cut(self._stretch())
+
+    def _split(self, points, rays, increment_rad):
+        c = self.config
+        pieces = [[points[0]]]
+        for k in range(1, len(points)):
+            gap = rays[k] - rays[k - 1]
+            near = min(np.linalg.norm(points[k]), np.linalg.norm(points[k - 1]))
+            most = c.max_slant * near * increment_rad * gap + 3.0 * c.range_noise_m
+            if gap > 4 or np.linalg.norm(points[k] - points[k - 1]) > most:
+                pieces.append([])
+            pieces[-1].append(points[k])
+        return [np.array(piece) for piece in pieces]
+
+    def _smooth(self, piece):
+        last = len(piece) - 1
+        reaches = [min(2, k, last - k) for k in range(len(piece))]
+        return np.array([piece[k - r : k + r + 1].mean(axis=0) for k, r in enumerate(reaches)])
+
+    def _saliency(self, line):
+        """Saliency up to each point of a smoothed piece: its length, longer in bends and on short pieces."""
+        c = self.config
+        steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+        short = c.short_weight * c.short_m / (c.short_m + steps.sum())
+        grown = [0.0]
+        behind = ahead = 0
+        for k, step in enumerate(steps):
+            # The nearest places at least one support away, or the ends; neither ever turns back.
+            while behind < k and np.linalg.norm(line[k] - line[behind + 1]) >= c.bend_support_m:
+                behind += 1
+            ahead = max(ahead, k + 1)
+            while ahead < len(steps) and np.linalg.norm(line[ahead] - line[k + 1]) < c.bend_support_m:
+                ahead += 1
+            bend = 0.0
+            came, goes = line[k] - line[behind], line[ahead] - line[k + 1]
+            if min(np.linalg.norm(came), np.linalg.norm(goes)) > 0.5 * c.bend_support_m:
+                turn = np.arctan2(goes[1], goes[0]) - np.arctan2(came[1], came[0])
+                bend = abs((turn + np.pi) % (2.0 * np.pi) - np.pi) / (0.5 * np.pi)
+            grown.append(grown[-1] + step * (1.0 + c.bend_weight * bend**2 + short))
+        return np.array(grown)
+
+    def _stretch(self):
+        """The least saliency of a stretch at which no more than the wanted number comes out, by bisection."""
+        totals = np.array([grown[-1] for grown in self.saliencies])
+        low, high = 0.0, totals.sum() + 1e-9
+        for _ in range(30):
+            middle = 0.5 * (low + high)
+            if np.sum(np.floor(totals / middle) + 1) > self.config.points:
+                low = middle
+            else:
+                high = middle
+        return high
+
+    def _cut(self, stretch):
+        means, members = [], []
+        for piece, grown in zip(self.pieces, self.saliencies, strict=True):
+            number = int(grown[-1] / stretch) + 1
+            place = np.minimum(np.floor(grown / (grown[-1] / number + 1e-12)), number - 1)
+            for stretch_number in np.unique(place):
+                own = piece[place == stretch_number]
+                means.append(own.mean(axis=0))
+                members.append(len(own))
+        return np.array(means).reshape(-1, 2), members
+
+
+def polish(score, prior_pose, information, trust, weight, blurs_m2, pose):
+    """Newton's method on weight * score + log of a normal prior; `score(pose, blur)` has the derivatives."""
+    pose = pose.copy()
+    for blur_m2 in blurs_m2:
+        for _ in range(12):
+            found = score(pose, blur_m2)
+            slope = weight * found.gradient - trust * information @ (pose - prior_pose)
+            system = trust * information - weight * found.hessian
+            if np.linalg.eigvalsh(system).min() <= 0.0:
+                system = trust * information + weight * found.information
+            step = np.linalg.solve(system, slope)
+            size = np.hypot(step[0], step[1])
+            pose += step * min(1.0, 0.1 / max(size, 1e-12), 0.05 / max(abs(step[2]), 1e-12))
+            if size < 1e-5 and abs(step[2]) < 1e-5:
+                break
+    return pose
