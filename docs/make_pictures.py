@@ -1,7 +1,7 @@
-"""Make the pictures of the pages with our own commands: `python docs/make_pictures.py` (seven minutes).
+"""Make the pictures of the pages with our own commands: `python docs/make_pictures.py` (nine minutes).
 
-The demo is driven and recorded; its `map.png` and what a browser shows of `hallway view --web` are kept.
-Needs chromium.
+The moving one is `make_movie.py`'s. Then the demo is driven and recorded; its `map.png` and what a browser
+shows of `hallway view --web` are kept. Needs chromium.
 """
 
 import importlib.util
@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import make_movie
 from PIL import Image
 
 ROOT = Path(__file__).parents[1]
@@ -68,6 +69,7 @@ def settled(page: Any) -> Image.Image:
 def main() -> None:
     """Make them all."""
     PICTURES.mkdir(exist_ok=True)
+    make_movie.main()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         drive(folder)

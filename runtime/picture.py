@@ -46,9 +46,11 @@ def render(
     *,
     truth: ArrayLike | None = None,
     hits: ArrayLike | None = None,
+    hit_px: float = 1.0,
     caption: str = "",
     size_px: int = 1400,
     margin_m: float = 0.5,
+    bounds_m: tuple[float, float, float, float] | None = None,
 ) -> Image.Image:
     """Draw a map seen from above, x to the right and y up.
 
@@ -59,9 +61,11 @@ def render(
         trajectory: (N, 2) or (N, 3) path of the laser, m, map frame: red, with a start ring and an end arrow.
         truth: (N, 2) or (N, 3) path to compare with, drawn in grey under the trajectory.
         hits: (M, 2) measured points, m, map frame, drawn in blue.
+        hit_px: Half the edge of each hit.
         caption: One line under the map, in Latin letters.
         size_px: Longest side of the map in the picture; the cells are whole pixels where they fit.
         margin_m: Ground kept around what is known.
+        bounds_m: Least x and y, greatest x and y to show, map frame; whatever is known or drawn if None.
 
     Raises:
         ValueError: `probability` is not two-dimensional, or `resolution_m` is not positive.
@@ -71,7 +75,11 @@ def render(
     if not resolution_m > 0.0:
         raise ValueError(f"resolution_m = {resolution_m}, must be positive")
     path, path_truth, points = (_points(a) for a in (trajectory, truth, hits))
-    window, corner_m = _window(probability, resolution_m, origin_m, (path, path_truth, points), margin_m)
+    if bounds_m is None:
+        cells = _extent(probability, resolution_m, origin_m, (path, path_truth, points), margin_m)
+    else:
+        cells = (np.array(bounds_m).reshape(2, 2) - origin_m)[:, ::-1] / resolution_m
+    window, corner_m = _window(probability, resolution_m, origin_m, cells)
     shrink = max(1, -(-max(window.shape) // size_px))
     window = _coarse(window, shrink)
     cell_px = max(1, size_px // max(window.shape))
@@ -79,7 +87,7 @@ def render(
     rows, cols = window.shape
     canvas = ground.resize((cols * cell_px * _FINE, rows * cell_px * _FINE), Image.Resampling.NEAREST)
     frame = _Frame(corner_m, cell_px * _FINE / (resolution_m * shrink), canvas.height)
-    _draw_paths(ImageDraw.Draw(canvas), frame, path, path_truth, points)
+    _draw_paths(ImageDraw.Draw(canvas), frame, path, path_truth, points, hit_px * _FINE)
     return _with_legend(canvas, frame, caption, marked=len(path) > 0)
 
 
@@ -96,22 +104,31 @@ def _points(points: ArrayLike | None) -> NDArray[np.float64]:
     return array[np.isfinite(array).all(axis=1)]
 
 
-def _window(
+def _extent(
     probability: NDArray[np.float32],
     resolution_m: float,
     origin_m: tuple[float, float],
     drawn: tuple[NDArray[np.float64], ...],
     margin_m: float,
-) -> tuple[NDArray[np.float32], tuple[float, float]]:
-    """Cut out, or extend to, what is known or drawn; return the cells and their lower left corner."""
+) -> NDArray[np.float64]:
+    """Return least and greatest row and column (2, 2) of what is known or drawn, with the margin."""
     known = np.argwhere(~np.isnan(probability)).astype(np.float64)  # (K, 2) row, col
     cells = [(d[:, ::-1] - np.array(origin_m)[::-1]) / resolution_m for d in drawn]
     spots = np.vstack([known, known + 1.0, *cells])
     if len(spots) == 0:
         spots = np.array(((0.0, 0.0), probability.shape))
     margin = margin_m / resolution_m
-    low = np.floor(spots.min(axis=0) - margin).astype(int)
-    high = np.ceil(spots.max(axis=0) + margin).astype(int)
+    return np.stack((spots.min(axis=0) - margin, spots.max(axis=0) + margin))
+
+
+def _window(
+    probability: NDArray[np.float32],
+    resolution_m: float,
+    origin_m: tuple[float, float],
+    extent: NDArray[np.float64],
+) -> tuple[NDArray[np.float32], tuple[float, float]]:
+    """Cut out, or extend to, least and greatest row and column; return cells and lower left corner."""
+    low, high = np.floor(extent[0]).astype(int), np.ceil(extent[1]).astype(int)
     window = np.full(tuple(high - low), np.nan, dtype=np.float32)
     inner_low, inner_high = np.maximum(low, 0), np.minimum(high, probability.shape)
     if (inner_low < inner_high).all():
@@ -146,9 +163,10 @@ def _draw_paths(
     path: NDArray[np.float64],
     truth: NDArray[np.float64],
     hits: NDArray[np.float64],
+    hit_px: float,
 ) -> None:
     for x, y in frame.px(hits):
-        draw.rectangle((x - _FINE, y - _FINE, x + _FINE, y + _FINE), fill=HITS)
+        draw.rectangle((x - hit_px, y - hit_px, x + hit_px, y + hit_px), fill=HITS)
     if len(truth) > 1:
         draw.line(frame.px(truth), fill=TRUTH, width=2 * _FINE, joint="curve")
     if len(path) == 0:
