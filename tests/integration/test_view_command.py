@@ -54,15 +54,18 @@ def test_a_recording_is_shown_on_a_page_until_ctrl_c(recording, tmp_path, kind):
     if kind == "rrd":
         file = tmp_path / "drive.rrd"
         assert main(["view", str(recording), "--save", str(file)]) == 0
-    command = [sys.executable, "-m", "runtime.cli", "view", str(file), "--web", "--port", "29884"]
-    with subprocess.Popen([*command, "--web-port", "29098"], stdout=subprocess.PIPE, text=True) as process:
+    port = viewer_server.free_port(0)
+    page = viewer_server.free_port(0, taken=port)
+    ports = ["--port", str(port), "--web-port", str(page)]
+    command = [sys.executable, "-m", "runtime.cli", "view", str(file), "--web", *ports]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         said = process.stdout.readline()
-        assert said.startswith("look at http://127.0.0.1:29098/?url=")
+        assert said.startswith(f"look at http://127.0.0.1:{page}/?url=")
         began = time.monotonic()
         process.send_signal(signal.SIGINT)
         assert process.wait(5) == 130
         assert time.monotonic() - began < 2.0
-    assert not viewer_server.listens(29884)
+    assert not viewer_server.listens(port)
 
 
 @pytest.mark.parametrize(

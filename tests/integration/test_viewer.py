@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -158,9 +159,15 @@ def test_a_canvas_that_fails_is_noticed():
 # ---- the program that shows the picture ----
 
 
+def ports():
+    """Two ports that nobody has."""
+    first = viewer_server.free_port(0)
+    return {"port": first, "web_port": viewer_server.free_port(0, taken=first)}
+
+
 @pytest.fixture
 def server():
-    with_page = viewer_server.ViewerServer(web=True, port=29876, web_port=29090, memory_mb=64)
+    with_page = viewer_server.ViewerServer(web=True, **ports(), memory_mb=64)
     yield with_page
     with_page.close()
 
@@ -185,7 +192,8 @@ def test_it_listens_on_this_machine_alone(server):
 
 
 def test_a_taken_port_is_left_to_its_owner(server):
-    second = viewer_server.ViewerServer(web=True, port=29876, web_port=29090, memory_mb=64)
+    page_port = int(server.page.split("/")[2].rpartition(":")[2])
+    second = viewer_server.ViewerServer(web=True, port=server.port, web_port=page_port, memory_mb=64)
     try:
         assert second.port != server.port
         assert second.page != server.page
@@ -206,18 +214,18 @@ def test_it_ends_when_it_is_told_even_if_it_is_stopped(server):
 def test_it_does_not_outlive_whoever_started_it(tmp_path):
     script = (
         "import os, sys, time\n"
-        "from runtime.nodes.viewer_server import ViewerServer\n"
-        "server = ViewerServer(web=True, port=29878, web_port=29092, memory_mb=64)\n"
-        "print(server._process.pid, flush=True)\n"
+        "from runtime.nodes.viewer_server import ViewerServer, free_port\n"
+        "server = ViewerServer(web=True, port=free_port(0), web_port=free_port(0), memory_mb=64)\n"
+        "print(server._process.pid, server.port, flush=True)\n"
         "time.sleep(60)\n"
     )
     owner = subprocess.Popen(
         [sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, cwd=Path.cwd()
     )
     with owner:
-        pid = int(owner.stdout.readline())
+        pid, port = map(int, owner.stdout.readline().split())
         owner.kill()
-    assert until(lambda: not viewer_server.listens(29878))
+    assert until(lambda: not viewer_server.listens(port))
     assert until(
         lambda: not Path(f"/proc/{pid}").exists() or "Z" in Path(f"/proc/{pid}/stat").read_text().split()[2]
     )
@@ -240,7 +248,7 @@ def test_a_run_is_saved_as_a_file_that_rerun_reads(start, tmp_path):
 
 
 def test_a_viewer_whose_program_is_killed_says_so_and_ends(start):
-    process = start(mode="web", port=29880, web_port=29094, memory_mb=64)
+    process = start(mode="web", **ports(), memory_mb=64)
     process.tell(5)
     os.kill(_child_of_us(), signal.SIGKILL)
     assert process.ended(10.0)
@@ -250,7 +258,7 @@ def test_a_viewer_whose_program_is_killed_says_so_and_ends(start):
 
 
 def test_a_viewer_whose_program_stands_still_stops_within_two_seconds(start):
-    process = start(mode="web", port=29880, web_port=29094, memory_mb=64)
+    process = start(mode="web", **ports(), memory_mb=64)
     process.tell(5)
     os.kill(_child_of_us(), signal.SIGSTOP)
     process.tell(100)
@@ -343,9 +351,9 @@ def test_the_picture_shows_walls_free_ground_way_and_points(start, tmp_path):
 
 def test_the_page_shows_the_same_in_a_browser(start, tmp_path):
     need(browser.PROGRAM, "chromium")
-    process = start(mode="web", port=29882, web_port=29096, memory_mb=128)
+    process = start(mode="web", **ports(), memory_mb=128)
     process.tell()
-    assert process.where.startswith("http://127.0.0.1:29096/?url=")
+    assert re.match(r"http://127\.0\.0\.1:\d+/\?url=", process.where)
     with browser.Browser(process.where, tmp_path / "profile") as page:
         seen = until(lambda: shows_the_room(page.screenshot()), within_s=90.0)
         page.screenshot().save(tmp_path / "page.png")
