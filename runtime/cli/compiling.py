@@ -12,6 +12,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+from runtime.clock import Clock
+from runtime.supervisor import child_environment
+
 CHAINS: tuple[tuple[float, tuple[str, ...]], ...] = (
     (7.0, ("dpslam.grid", "dpslam.laser_model", "dpslam.writing", "dpslam.alignment", "dpslam.kernels")),
     (5.8, ("evolution_kernels", "ndt_kernels", "matching_kernels", "dpslam.settled_kernels")),
@@ -58,6 +61,14 @@ def compile_all(environment: Mapping[str, str], say: Callable[[str], None]) -> N
         for worker in workers:
             worker.kill()
             worker.wait()
+
+
+def compile_here(verb: str) -> None:
+    """Compile what a command needs in its own process; call it before anything imports numba."""
+    environment = child_environment(Clock())
+    if "NUMBA_CACHE_DIR" in environment:
+        os.environ["NUMBA_CACHE_DIR"] = environment["NUMBA_CACHE_DIR"]
+    compile_all(environment, lambda line: print(f"hallway {verb}: {line}", file=sys.stderr, flush=True))
 
 
 def share(chains: list[tuple[float, tuple[str, ...]]], workers: int) -> list[list[str]]:

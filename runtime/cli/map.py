@@ -11,12 +11,14 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from runtime.cli.progress import Progress
+from runtime.cli.whereabouts import Whereabouts
 from runtime.errors import ConfigError, DataLostError, PositionLostError
 
 if TYPE_CHECKING:
     from runtime.formats.laser_log import LaserLog
     from runtime.nodes.offline import OfflineRun
     from runtime.nodes.offline_config import OfflineConfig
+    from runtime.nodes.saved import Saved
 
 MAX_SEED = 2**63
 
@@ -30,17 +32,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, metavar="N", help="of random numbers (default 0, or as recorded)")
     parser.add_argument("--config", type=Path, metavar="F", help="YAML over the defaults (or as recorded)")
     parser.add_argument("--topic", metavar="T", help="which LaserScan topic of a bag")
+    parser.add_argument(
+        "--continue",
+        dest="onto",
+        type=Path,
+        metavar="SESSION",
+        help="go on with a saved map, on which the drive begins anywhere: a session file or results folder",
+    )
     parser.add_argument("--json", action="store_true", help="machine-readable, one object")
 
 
 def run(args: argparse.Namespace) -> int:
     """Map the log; always with results: 0 done, 4 scans missing, 5 ended lost, 130 after Ctrl-C."""
+    from runtime.cli.compiling import compile_here
     from runtime.formats.logs import open_log
     from runtime.results import check_free
 
     if args.seed is not None and not 0 <= args.seed < MAX_SEED:
         raise ConfigError(f"--seed = {args.seed}, must be in [0, 2^63)")
     log = open_log(args.log, args.topic)
+    compile_here("map")
     seed = args.seed if args.seed is not None else log.run_seed or 0
     config = _config(args.config, log)
     from runtime.nodes.offline import OfflineRun, default_folder
@@ -50,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     for notice in log.notices + log.losses:
         print(f"hallway map: {notice}", file=sys.stderr)
     offline = OfflineRun(config, seed)
-    with _stop_on_signal() as stopping:
+    with stop_on_signal() as stopping:
         with Progress(len(log), log.geometry.period_s, args.json) as progress:
             _feed(offline, log, progress, stopping)
         interrupted = progress.done < len(log)
@@ -62,28 +73,59 @@ def run(args: argparse.Namespace) -> int:
     _say(report, args.json)
     if interrupted:
         return 130
+    if not offline.found:
+        print(
+            f"hallway map: the drive was not found on {onto.session.path if onto else ''};"
+            f" {out} holds a map of its own",
+            file=sys.stderr,
+        )
+        return int(PositionLostError.exit_code)
     if offline.state == "LOST":
         print("hallway map: the track was lost and not found again before the log ended", file=sys.stderr)
         return int(PositionLostError.exit_code)
     return int(DataLostError.exit_code) if log.losses else 0
 
 
-def _config(path: Path | None, log: "LaserLog") -> "OfflineConfig":
+def check_seed(seed: int | None) -> None:
+    """Refuse what is no seed: raises ConfigError."""
+    if seed is not None and not 0 <= seed < MAX_SEED:
+        raise ConfigError(f"--seed = {seed}, must be in [0, 2^63)")
+
+
+def check_scanner(log: "LaserLog", onto: "Saved") -> None:
+    """Refuse a log of another scanner than the saved map's: raises ConfigError."""
+    count, must = log.geometry.count, onto.past.scanner.count
+    if count != must:
+        raise ConfigError(f"{log.path}: scans of {count} beams, must be {must} as in {onto.session.path}")
+
+
+def _config(path: Path | None, log: "LaserLog", onto: "Saved | None") -> "OfflineConfig":
     from runtime.config import load
     from runtime.nodes.offline_config import OfflineConfig, recorded_config
 
     if path is not None:
         return load(OfflineConfig, path)
+    if onto is not None:
+        return onto.config
     return recorded_config(log.run_config, f"{log.path}: config.yaml") if log.run_config else OfflineConfig()
 
 
-def _feed(offline: "OfflineRun", log: "LaserLog", progress: Progress, stopping: list[bool]) -> None:
+def feed(
+    offline: "OfflineRun",
+    log: "LaserLog",
+    progress: Progress,
+    stopping: list[bool],
+    where: Whereabouts | None = None,
+) -> None:
+    """Take every scan of a log, until asked to stop."""
     from runtime.nodes.log_scans import iterate
 
     for scan in iterate(log):
         if stopping:
             return
-        offline.step(scan)
+        step = offline.step(scan)
+        if where is not None:
+            where.take(step)
         progress.advance(offline.state)
 
 
@@ -110,11 +152,11 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
         f"{report['scans']} scans in {report['seconds']:.1f} s ({report['times_real_time']:.1f} x real time),"
         f" {report['way_m']:.1f} m driven, {report['known_m2']:.0f} m2 mapped; {states}"
     )
-    print(f"{report['out']}/: map.png, report.html, map.pgm + map.yaml, trajectory.tum, metrics.json")
+    print(f"{report['out']}/: map.png, report.html, map.pgm + map.yaml, trajectory.tum, session.mcap")
 
 
 @contextmanager
-def _stop_on_signal() -> Iterator[list[bool]]:
+def stop_on_signal() -> Iterator[list[bool]]:
     """Turn the first Ctrl-C into a wish to stop after the present scan; the second one ends at once."""
     stopping: list[bool] = []
 

@@ -2,8 +2,8 @@
 
     python tests/bench/first_minute.py            # in a temporary folder, with the package cache as it is
 
-Prints one JSON object; seconds. `first` compiles every kernel, `again` finds them compiled. `load` is how
-many wanted the processor when it began: on cores that others use as well it takes longer, `cpu` stays about the same.
+Prints one JSON object; seconds. `first` compiles every kernel, `again` finds them compiled. `load`: how many
+wanted the processor when it began; with others on the cores it takes longer, `cpu` stays about the same.
 """
 
 import argparse
