@@ -93,9 +93,11 @@ def kernels():
 
 
 KERNELS = list(kernels())
-named = pytest.mark.parametrize(
-    ("module", "name", "kernel"), KERNELS, ids=lambda v: v if type(v) is str else ""
-)
+
+
+def each(chosen):
+    ids = [f"{module}.{name}" for module, name, _ in chosen]
+    return pytest.mark.parametrize(("module", "name", "kernel"), chosen, ids=ids)
 
 
 def test_the_kernels_of_the_odometry_are_all_found():
