@@ -18,6 +18,7 @@ from runtime.errors import exit_code_of
 VERBS = (
     "up",
     "map",
+    "localize",
     "view",
     "teleop",
     "record",

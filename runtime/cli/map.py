@@ -43,42 +43,48 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Map the log; always with results: 0 done, 4 scans missing, 5 ended lost, 130 after Ctrl-C."""
+    """Map the log; always with results: 0 done, 4 scans missing, 5 ended lost, 130 after Ctrl-C.
+
+    Also 5 where the drive was not found on the saved map; the results are then a map of its own.
+    """
     from runtime.cli.compiling import compile_here
     from runtime.formats.logs import open_log
     from runtime.results import check_free
 
-    if args.seed is not None and not 0 <= args.seed < MAX_SEED:
-        raise ConfigError(f"--seed = {args.seed}, must be in [0, 2^63)")
+    check_seed(args.seed)
     log = open_log(args.log, args.topic)
     compile_here("map")
-    seed = args.seed if args.seed is not None else log.run_seed or 0
-    config = _config(args.config, log)
+    from runtime.nodes import saved as sessions
     from runtime.nodes.offline import OfflineRun, default_folder
 
+    onto = sessions.load(args.onto) if args.onto else None
+    if onto is not None:
+        check_scanner(log, onto)
+    recorded = log.run_seed or 0 if onto is None else onto.session.seed
+    seed = recorded if args.seed is None else args.seed
+    config = _config(args.config, log, onto)
     out = args.out or default_folder(args.log)
     check_free(out)
     for notice in log.notices + log.losses:
         print(f"hallway map: {notice}", file=sys.stderr)
-    offline = OfflineRun(config, seed)
+    offline = OfflineRun(config, seed, onto)
     with stop_on_signal() as stopping:
         with Progress(len(log), log.geometry.period_s, args.json) as progress:
-            _feed(offline, log, progress, stopping)
+            where = Whereabouts(progress.say, log.geometry.period_s) if onto else None
+            feed(offline, log, progress, stopping, where)
         interrupted = progress.done < len(log)
         if progress.done == 0:
             return 130
         report = {"seed": seed, **_save(offline, log, out, args, interrupted)}
+    report |= where.report() if where else {}
     report |= {"seconds": round(progress.elapsed_s, 3), "scans_per_s": round(progress.scans_per_s, 1)}
     report["times_real_time"] = round(progress.times_real_time, 2)
     _say(report, args.json)
     if interrupted:
         return 130
-    if not offline.found:
-        print(
-            f"hallway map: the drive was not found on {onto.session.path if onto else ''};"
-            f" {out} holds a map of its own",
-            file=sys.stderr,
-        )
+    if onto is not None and not offline.found:
+        why = f"the drive was not found on {onto.session.path}"
+        print(f"hallway map: {why}; {out} holds a map of its own", file=sys.stderr)
         return int(PositionLostError.exit_code)
     if offline.state == "LOST":
         print("hallway map: the track was lost and not found again before the log ended", file=sys.stderr)

@@ -81,6 +81,13 @@ class Progress:
         else:
             print(f"{self.done} of {self._total} scans, {figures}", file=sys.stderr, flush=True)
 
+    def say(self, text: str) -> None:
+        """Print a line of its own, beside the bar if there is one."""
+        if self._bar is not None:
+            self._bar.console.print(text, highlight=False, markup=False)
+        else:
+            print(text, file=sys.stderr, flush=True)
+
     def figures(self) -> str:
         """Return speed and time left in words."""
         left_s = (self._total - self.done) / max(self.scans_per_s, 1e-9)
