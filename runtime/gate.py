@@ -11,6 +11,8 @@ from typing import Any
 from runtime import links, rundir
 from runtime.keys import Authority, Invitation, Role, common_name, paired
 
+BATCH_BYTES = 16_384
+"""What waits for a slow link is two batches of each urgency and what the socket holds: as little as will do."""
 _READ = ["read_in", "read_out"]
 _ASKING = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]
 _ANSWERING = ["put", "delete", "reply", "declare_queryable", "liveliness_token"]
@@ -40,7 +42,7 @@ def door(
             subjects.append({"id": role, "link_protocols": ["tls"], "cert_common_names": names})
             policies.append({"rules": rules, "subjects": [role]})
     return {
-        "listen": {"endpoints": [f"tls/{endpoint}#so_sndbuf=65536"]},
+        "listen": {"endpoints": [f"tls/{endpoint}#so_sndbuf={BATCH_BYTES}"]},
         "transport": {
             "link": {
                 "tls": {
@@ -95,17 +97,18 @@ def guest(invitation: Invitation) -> dict[str, Any]:
             "mode": "client",
             "connect": {
                 "endpoints": [f"tls/{invitation.address}"],
-                "timeout_ms": 3000,
+                "timeout_ms": 10000,
                 "exit_on_failure": True,
             },
             "transport": {
                 "link": {
+                    "tx": {"batch_size": BATCH_BYTES},
                     "tls": {
                         "root_ca_certificate_base64": _base64(invitation.ca),
                         "connect_private_key_base64": _base64(invitation.key),
                         "connect_certificate_base64": _base64(invitation.certificate),
                         "enable_mtls": True,
-                    }
+                    },
                 },
                 "unicast": {"compression": {"enabled": True}},
             },

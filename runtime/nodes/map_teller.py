@@ -11,8 +11,8 @@ from runtime.port import Port
 from runtime.pulling import grid_message
 from runtime.tiles import Tiles
 
-PATH_POSES = 800
-"""Of the published trajectory at most: in one piece on every link."""
+PATH_POSES = 400
+"""Of the published trajectory at most: two batches of a slow link, which hold it without a wait."""
 WHOLE_NS = 10_000_000_000
 """Whoever comes late and listens to the topics has the present map after so long."""
 PATH_NS = 5_000_000_000

@@ -77,11 +77,11 @@ def guest(sessions):
         print("up", flush=True)
         for _ in sys.stdin:
             seen = {name: [] for name in ("pose", "scan", "map")}
-            missed = 0
+            missed = {}
             for inboxes in ports:
                 for name, inbox in inboxes.items():
                     arrived = inbox.drain()
-                    missed += inbox.missed
+                    missed[name] = missed.get(name, 0) + inbox.missed
                     if name in seen:
                         seen[name] += [
                             (
@@ -213,11 +213,12 @@ def measure(bench, case, seconds):
         for topic_ in ("pose", "scan")
     }
     each = counted["down"] / took_s / 1e3 / max(1, count)
+    lost = {name: sum(one["missed"][name] for one in seen) for name in (seen[0]["missed"] if seen else ())}
     poses = len(aged["pose"]) / max(1, count) / took_s
     print(
         f"| {case_name:34} | {spread(robot)} | {spread(aged['pose'])} | {spread(aged['scan'])} "
         f"| {poses:5.1f} | {each:6.1f} | {'-' if first_map_s is None else f'{first_map_s:.1f}':>5} "
-        f"| {os.getloadavg()[0]:4.1f} |",
+        f"| {os.getloadavg()[0]:4.1f} | {', '.join(f'{n} {name}' for name, n in lost.items() if n) or '-'} |",
         flush=True,
     )
 
@@ -286,8 +287,8 @@ def main():
         bench = Bench(folder, stack)
         time.sleep(5)
         columns = ("case", "robot p50 p99", "pose p50 p99", "scan p50 p99", "poses/s", "kB/s each")
-        print(f"| {' | '.join((*columns, 'first map, s', 'load'))} |")
-        print("|---|---|---|---|---|---|---|---|", flush=True)
+        print(f"| {' | '.join((*columns, 'first map, s', 'load', 'lost'))} |")
+        print("|---|---|---|---|---|---|---|---|---|", flush=True)
         for case in CASES:
             if args.only in case[0]:
                 measure(bench, case, args.seconds)

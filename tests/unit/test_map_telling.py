@@ -11,6 +11,7 @@ from runtime import messages
 from runtime.bus import Mailbox
 from runtime.bus_memory import MemoryBus
 from runtime.clock import ManualClock
+from runtime.gate import BATCH_BYTES
 from runtime.node import BusPort
 from runtime.nodes import map_teller
 from runtime.nodes.map_teller import MapTeller
@@ -113,7 +114,7 @@ def test_the_path_stays_under_the_size_that_a_slow_link_takes_and_keeps_the_newe
     (path,) = tell(teller, port, Mapping(poses=2 * map_teller.PATH_POSES + 1)).said("trajectory")
     assert map_teller.PATH_POSES / 2 < len(path.poses) <= map_teller.PATH_POSES
     assert path.poses[-1].pose.position.x == 2 * map_teller.PATH_POSES
-    assert len(messages.encode(path)) < 60_000
+    assert len(messages.encode(path)) < 2 * BATCH_BYTES
 
 
 def test_the_path_comes_every_five_seconds_while_the_map_changes_and_once_more_after_that(teller, port):
