@@ -12,7 +12,7 @@ from runtime import links, rundir
 from runtime.keys import Authority, Invitation, Role, common_name, paired
 
 BATCH_BYTES = 16_384
-"""What waits for a slow link: two batches of each urgency, and what the socket holds; as little as will do."""
+"""What waits for a slow link: two batches of each urgency, and what the socket holds; as little as does."""
 _READ = ["read_in", "read_out"]
 _ASKING = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]
 _ANSWERING = ["put", "delete", "reply", "declare_queryable", "liveliness_token"]
