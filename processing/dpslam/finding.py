@@ -44,9 +44,9 @@ GROUND_STEP = 4
 LEAST_POINTS = 40
 LEAST_FIT = 0.6
 """Share of the points that must find their wall."""
-LEAST_SHARE = 0.75
+LEAST_SHARE = 0.8
 """Places that fit so much worse than the best one are not judged."""
-MOST_PLACES = 8
+MOST_PLACES = 6
 LEAST_RAY = -1.8
 """Least mean log-likelihood of a ray that ends where the map knows something."""
 LEAST_KNOWN = 0.6
