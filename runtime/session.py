@@ -27,6 +27,8 @@ FILE = "session.mcap"
 FORMAT = 1
 """Raised when an older program could no longer read what is written, or the other way round."""
 RECORD = "hallway.session"
+SUMS = "hallway.sha256"
+"""Of the attachments: what was damaged on the way is refused."""
 POSTERIOR, LAYER, CONFIG, PICTURE, TRAJECTORY = (
     "posterior.npz",
     "layer.npz",
@@ -67,11 +69,20 @@ class Session:
     """A session as it is on disk, without its scans."""
 
     path: Path
-    version: str
-    """Of the program that wrote it."""
-    seed: int
+    head: Mapping[str, str]
+    """What the program that wrote it said of itself."""
     drives: int
     parts: Parts
+
+    @property
+    def version(self) -> str:
+        """Of the program that wrote it."""
+        return self.head.get("version", "unknown")
+
+    @property
+    def seed(self) -> int:
+        """Of its random numbers."""
+        return int(self.head.get("seed", "0"))
 
 
 class SessionWriter:
@@ -120,9 +131,9 @@ class SessionWriter:
             "scans": str(sum(self._counts.values())),
             "resolution_m": repr(float(parts.resolution_m)),
             "origin_m": f"{float(x)!r} {float(y)!r}",
-            **{f"sha256 {name}": hashlib.sha256(data).hexdigest() for name, data in attachments.items()},
         }
-        self._writer.finish({RECORD: record}, attachments)
+        sums = {name: hashlib.sha256(data).hexdigest() for name, data in attachments.items()}
+        self._writer.finish({RECORD: record, SUMS: sums}, attachments)
 
     def abandon(self) -> None:
         """Take away what was written."""
@@ -144,16 +155,15 @@ def read_session(path: Path) -> Session:
     """
     path = session_file(path)
     metadata, attachments = _end(path)
-    record, about = metadata[RECORD], metadata.get("hallway", {})
+    record, sums = metadata[RECORD], metadata.get(SUMS, {})
     for name in (CONFIG, TRAJECTORY, PICTURE, LAYER, POSTERIOR):
         data = attachments.get(name)
-        if data is None or hashlib.sha256(data).hexdigest() != record.get(f"sha256 {name}"):
+        if data is None or hashlib.sha256(data).hexdigest() != sums.get(name):
             raise CutSessionError(path, f"{name} is {'missing' if data is None else 'damaged'}{_REMEDY}")
     x, y = map(float, record["origin_m"].split())
     return Session(
         path=path,
-        version=about.get("version", "unknown"),
-        seed=int(about.get("seed", "0")),
+        head=metadata.get("hallway", {}),
         drives=int(record["drives"]),
         parts=Parts(
             posterior=_unpacked(path, POSTERIOR, attachments[POSTERIOR]),
@@ -185,6 +195,7 @@ def _end(path: Path) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
             raise FormatError(path, "no session: it is no MCAP file; `hallway map` of a log writes one")
         if not McapReader.is_whole(path):
             raise CutSessionError(path, f"the file was cut{_REMEDY}")
+        file.seek(0)
         try:
             reader = make_reader(file, validate_crcs=True)
             metadata = {one.name: dict(one.metadata) for one in reader.iter_metadata()}

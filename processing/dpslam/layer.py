@@ -30,6 +30,8 @@ ERASED_M = 2.0
 """Metres of travel that an erased cell is given: rays are sure to pass."""
 WALL_STOPS = 10.0
 """Stops that a painted wall is given."""
+CHUNK = 1000
+"""Cells whose nearest key scan is sought at once."""
 
 
 class Paint(enum.IntEnum):
@@ -95,7 +97,8 @@ class Layer:
         kind = self.paints == Paint.KEEP_OUT if paint == Paint.KEEP_OUT else self.paints != Paint.KEEP_OUT
         hidden = kind & np.isin(_numbers(self.cells(path)), _numbers(cells))
         middles = (cells[:, ::-1] + 0.5) * CELL_M
-        nearest = np.array([np.hypot(*(path[:, :2] - middle).T).argmin() for middle in middles])
+        parts = np.array_split(middles, len(middles) // CHUNK + 1)
+        nearest = np.concatenate([_nearest(part, path) for part in parts])
         at = path[nearest]
         off, c, s = middles - at[:, :2], np.cos(at[:, 2]), np.sin(at[:, 2])
         spots = np.column_stack((c * off[:, 0] + s * off[:, 1], c * off[:, 1] - s * off[:, 0]))
@@ -139,6 +142,12 @@ class Layer:
         at = self.cells(path)[self.paints == paint] - corner
         at = at[((at >= 0) & (at < grid.probability.shape)).all(axis=1)]
         return at[:, 0], at[:, 1]
+
+
+def _nearest(points: NDArray[np.float64], path: Pose) -> NDArray[np.int64]:
+    """Return the key scan nearest to each point (N, 2)."""
+    off = points[:, None] - path[None, :, :2]
+    return np.asarray((off**2).sum(axis=2).argmin(axis=1))
 
 
 def _write(store: TileStore, cells: NDArray[np.int64], stops: float, metres: float) -> None:

@@ -19,6 +19,7 @@ VERBS = (
     "up",
     "map",
     "localize",
+    "layer",
     "view",
     "teleop",
     "record",
