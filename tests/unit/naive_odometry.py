@@ -209,19 +209,33 @@ class Resampled:
         return np.array(means).reshape(-1, 2), members
 
 
-def polish(score, prior_pose, information, trust, weight, blurs_m2, pose):
-    """Newton's method on weight * score + log of a normal prior; `score(pose, blur)` has the derivatives."""
+def polish(score, prior_pose, information, trust, weight, stages, pose):
+    """Levenberg and Marquardt on weight * score + log of a normal prior.
+
+    `score(pose, blur, share)` has the derivatives.
+    """
     pose = pose.copy()
-    for blur_m2 in blurs_m2:
+
+    def height(found, at):
+        off = at - prior_pose
+        return weight * found.value - 0.5 * trust * off @ information @ off
+
+    for stage in stages:
+        found, damping = score(pose, *stage), 0.0
         for _ in range(12):
-            found = score(pose, blur_m2)
             slope = weight * found.gradient - trust * information @ (pose - prior_pose)
-            system = trust * information - weight * found.hessian
+            brake = trust * information + damping * weight * np.diag(np.diag(found.information))
+            system = brake - weight * found.hessian
             if np.linalg.eigvalsh(system).min() <= 0.0:
-                system = trust * information + weight * found.information
+                system = brake + weight * found.information
             step = np.linalg.solve(system, slope)
-            size = np.hypot(step[0], step[1])
-            pose += step * min(1.0, 0.1 / max(size, 1e-12), 0.05 / max(abs(step[2]), 1e-12))
-            if size < 1e-5 and abs(step[2]) < 1e-5:
+            size, turn = np.hypot(step[0], step[1]), abs(step[2])
+            trial = pose + step * min(1.0, 0.1 / max(size, 1e-12), 0.05 / max(turn, 1e-12))
+            there = score(trial, *stage)
+            if height(there, trial) >= height(found, pose):
+                pose, found, damping = trial, there, 0.25 * damping
+            else:
+                damping = max(4.0 * damping, 0.5)
+            if size < 1e-5 and turn < 1e-5:
                 break
     return pose
