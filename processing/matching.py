@@ -27,12 +27,14 @@ class MatchingConfig:
     """Half side of the searched box around the prior."""
     window_rad: float = 0.4
     polish: bool = True
-    score_weight: float = 0.3
-    """Log-likelihood of one point that fits. Under 1, as neighbouring points err alike."""
+    score_weight: float = 1.0
+    """Log-likelihood of one point that fits."""
     freedom: float = 4.0
     """Degrees of freedom of the motion prior in the search: few forgive what the filter did not foresee."""
     coarse_deviation_m: float = 0.03
     """The polish starts with cells widened by this, and ends with the cells as they are."""
+    fine_share: float = 0.5
+    """Share of the fine cells at the end of the polish, where the reference has them."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.window_m <= 20.0:
@@ -43,6 +45,8 @@ class MatchingConfig:
             raise ValueError(f"score_weight = {self.score_weight}, must be in (0, 10]")
         if not self.freedom > 0.0:
             raise ValueError(f"freedom = {self.freedom}, must be positive")
+        if not 0.0 <= self.fine_share <= 1.0:
+            raise ValueError(f"fine_share = {self.fine_share}, must be in [0, 1]")
         if not 0.0 <= self.coarse_deviation_m <= 1.0:
             raise ValueError(f"coarse_deviation_m = {self.coarse_deviation_m}, must be in [0, 1]")
 
@@ -74,7 +78,7 @@ class Matcher:
         self._population = np.empty((size, 3))
         self._values = np.empty(size + 2)
         self._rule = config.search.rule()
-        self._blurs = np.array((config.coarse_deviation_m**2, 0.0))
+        self._stages = np.array(((config.coarse_deviation_m**2, 0.0), (0.0, config.fine_share)))
         self._curvature = np.empty((2, 3, 3))
         self._report = np.zeros(3)
 
@@ -112,13 +116,14 @@ class Matcher:
             generations, evaluations = int(self._values[-2]), int(self._values[-1])
         steps = 0
         if config.polish:
+            fine = reference if reference.fine is None else reference.fine
+            self._stages[1, 1] = 0.0 if reference.fine is None else config.fine_share
             score = polish(
                 points,
-                reference.origin,
-                reference.slots,
-                reference.normals,
+                reference.grid,
+                fine.grid,
                 given,
-                self._blurs,
+                self._stages,
                 pose,
                 self._curvature,
                 self._report,

@@ -13,6 +13,9 @@ from numba import njit
 from processing.evolution_kernels import gathered, propose, scatter
 from processing.ndt_kernels import derivatives, sampled_score
 
+STEPS = 12
+"""Greatest number of steps in one stage of the polish; most need four."""
+
 
 @njit("f8(f8[::1], f8, f8, f8)", cache=True, nogil=True)
 def mahalanobis(prior, x, y, yaw):
@@ -106,57 +109,109 @@ def solve(matrix, right, out):
     return True
 
 
+_GRID = "Tuple((f8[::1], i4[:,:,::1], f8[:,::1]))"
+"""Origin, slots and normals of a transform, as `ndt_kernels` lays them out."""
+
+
+@njit(f"f8(f8[:,::1], {_GRID}, {_GRID}, f8[::1], f8[::1], f8[::1], f8[:,:,::1])", cache=True, nogil=True)
+def blend(points, wide, fine, stage, pose, gradient, curvature):
+    """Return the score at `pose` with its derivatives, as `derivatives` does, from wide cells and fine ones.
+
+    `stage`: variance (m^2) added to the cells, and the share of the fine cells in the sum.
+    """
+    origin, slots, normals = wide
+    blur, share = stage[0], stage[1]
+    score = derivatives(points, origin, slots, normals, pose, blur, gradient, curvature[0], curvature[1])
+    if share > 0.0:
+        origin, slots, normals = fine
+        slope, bends = np.empty(3), np.empty((2, 3, 3))
+        finer = derivatives(points, origin, slots, normals, pose, blur, slope, bends[0], bends[1])
+        score += share * (finer - score)
+        for i in range(3):
+            gradient[i] += share * (slope[i] - gradient[i])
+            for j in range(3):
+                for k in range(2):
+                    curvature[k, i, j] += share * (bends[k, i, j] - curvature[k, i, j])
+    return score
+
+
+@njit("b1(f8[::1], f8[:,:,::1], f8[::1], f8[::1], f8, f8, f8[::1])", cache=True, nogil=True)
+def newton_step(gradient, curvature, prior, pose, trust, damping, step):
+    """Write the step of the log-posterior's damped Newton method; False where none rises."""
+    weight = prior[13]
+    slope = np.empty(3)
+    system = np.empty((3, 3))
+    for i in range(3):
+        slope[i] = weight * gradient[i]
+        for j in range(3):
+            information = trust * prior[3 + 3 * i + j]
+            slope[i] -= information * (pose[j] - prior[j])
+            system[i, j] = information - weight * curvature[0, i, j]
+        system[i, i] += damping * weight * curvature[1, i, i]
+    if solve(system, slope, step):
+        return True
+    # Not concave here: the Gauss-Newton matrix is, and rises.
+    for i in range(3):
+        for j in range(3):
+            system[i, j] = trust * prior[3 + 3 * i + j] + weight * curvature[1, i, j]
+        system[i, i] += damping * weight * curvature[1, i, i]
+    return solve(system, slope, step)
+
+
 @njit(
-    "f8(f8[:,::1], f8[::1], i4[:,:,::1], f8[:,::1], f8[::1], f8[::1], f8[::1], f8[:,:,::1], f8[::1])",
+    f"f8(f8[:,::1], {_GRID}, {_GRID}, f8[::1], f8[:,::1], f8[::1], f8[:,:,::1], f8[::1])",
     cache=True,
     nogil=True,
 )
-def polish(points, origin, slots, normals, prior, blurs, pose, curvature, report):
-    """Polish `pose` by Newton's method on the exact score plus a normal prior; return the score.
+def polish(points, wide, fine, prior, stages, pose, curvature, report):
+    """Polish `pose` by a damped Newton method on the exact score plus a normal prior; return the score.
 
-    `blurs`: variances (m^2) added to the cells, one stage each, coarse to fine. `curvature` (2, 3, 3):
-    Hessian of the score, and its Gauss-Newton information, at the end. `report`: iterations used, last step
-    (m, rad).
+    A step that does not rise is not taken, and the next one is shorter (Levenberg and Marquardt): where the
+    cells of the reference contradict each other, free steps wander off by a decimetre.
+
+    `stages` (S, 2): variance (m^2) added to the cells, share of the fine cells; coarse to fine. `curvature`
+    (2, 3, 3): Hessian of the score, and its Gauss-Newton information, at the end. `report`: evaluations used,
+    last step (m, rad).
     """
     weight = prior[13]
     # The weight that Student's t gives the prior where the search ended.
     trust = (prior[12] + 3.0) / (prior[12] + mahalanobis(prior, pose[0], pose[1], pose[2]))
-    gradient = np.empty(3)
-    system = np.empty((3, 3))
-    step = np.zeros(3)
-    score = 0.0
-    iterations = 0
-    for stage in range(blurs.shape[0]):
-        for _ in range(12):
-            score = derivatives(
-                points, origin, slots, normals, pose, blurs[stage], gradient, curvature[0], curvature[1]
-            )
-            iterations += 1
-            for i in range(3):
-                slope = weight * gradient[i]
-                for j in range(3):
-                    information = trust * prior[3 + 3 * i + j]
-                    slope -= information * (pose[j] - prior[j])
-                    system[i, j] = information - weight * curvature[0, i, j]
-                gradient[i] = slope
-            if not solve(system, gradient, step):
-                # Not concave here: the Gauss-Newton matrix is, and rises.
-                for i in range(3):
-                    for j in range(3):
-                        system[i, j] = trust * prior[3 + 3 * i + j] + weight * curvature[1, i, j]
-                if not solve(system, gradient, step):
-                    break
-            # No farther than a cell's reach in one step: beyond it the quadratic says nothing.
-            size = np.hypot(step[0], step[1])
-            shrink = min(1.0, 0.1 / max(size, 1e-12), 0.05 / max(abs(step[2]), 1e-12))
-            for i in range(3):
-                pose[i] += shrink * step[i]
-            if size < 1e-5 and abs(step[2]) < 1e-5:
+    gradient, slope = np.empty(3), np.empty(3)
+    bends = np.empty((2, 3, 3))
+    step, trial = np.zeros(3), np.empty(3)
+    score = size = turn = 0.0
+    evaluations = 0
+    for s in range(stages.shape[0]):
+        stage = stages[s]
+        score = blend(points, wide, fine, stage, pose, gradient, curvature)
+        height = weight * score - 0.5 * trust * mahalanobis(prior, pose[0], pose[1], pose[2])
+        evaluations += 1
+        damping = 0.0
+        for _ in range(STEPS):
+            if not newton_step(gradient, curvature, prior, pose, trust, damping, step):
                 break
-    score = derivatives(
-        points, origin, slots, normals, pose, blurs[blurs.shape[0] - 1], gradient, curvature[0], curvature[1]
-    )
-    report[0] = iterations
-    report[1] = np.hypot(step[0], step[1])
-    report[2] = abs(step[2])
+            # No farther than a cell's reach in one step: beyond it the quadratic says nothing.
+            size, turn = np.hypot(step[0], step[1]), abs(step[2])
+            shrink = min(1.0, 0.1 / max(size, 1e-12), 0.05 / max(turn, 1e-12))
+            for i in range(3):
+                trial[i] = pose[i] + shrink * step[i]
+            found = blend(points, wide, fine, stage, trial, slope, bends)
+            reached = weight * found - 0.5 * trust * mahalanobis(prior, trial[0], trial[1], trial[2])
+            evaluations += 1
+            if reached >= height:
+                damping *= 0.25
+                height, score = reached, found
+                for i in range(3):
+                    pose[i] = trial[i]
+                    gradient[i] = slope[i]
+                    for j in range(3):
+                        curvature[0, i, j] = bends[0, i, j]
+                        curvature[1, i, j] = bends[1, i, j]
+            else:
+                damping = max(4.0 * damping, 0.5)
+            if size < 1e-5 and turn < 1e-5:
+                break
+    report[0] = evaluations
+    report[1] = size
+    report[2] = turn
     return score

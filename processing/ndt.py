@@ -6,7 +6,7 @@ no steps. A raster of that field serves the search. The arrays stay from one ref
 costs what the points cost.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,9 @@ class NdtConfig:
 
     cell_m: float = 0.5
     """Side of a cell (the paper's Table 1)."""
+    fine_cell_m: float = 0.25
+    """Side of the finer cells that are kept beside; 0 for none. Fine ones place a scan, wide ones find it and
+    know far walls, of which there are few points."""
     min_points: int = 3
     """Fewer points than this have no distribution."""
     min_deviation_m: float = 0.02
@@ -51,6 +54,8 @@ class NdtConfig:
     def __post_init__(self) -> None:
         if not 0.05 <= self.cell_m <= 5.0:
             raise ValueError(f"cell_m = {self.cell_m}, must be in [0.05, 5]")
+        if self.fine_cell_m != 0.0 and not 0.05 <= self.fine_cell_m <= self.cell_m:
+            raise ValueError(f"fine_cell_m = {self.fine_cell_m}, must be 0 (none) or in [0.05, cell_m]")
         if self.min_points < 2:
             raise ValueError(f"min_points = {self.min_points}, must be at least 2")
         if not 0.001 <= self.min_deviation_m <= self.cell_m:
@@ -96,6 +101,10 @@ class Ndt:
         self.raster_variance = 2.0 * (self._half_m / SIDE) ** 2 / 12.0
         self.origin = np.zeros(3)
         self._counts = np.zeros(3, np.int64)
+        self.fine: Ndt | None = None
+        """The same points in finer cells, which have no raster."""
+        if config.fine_cell_m > 0.0:
+            self.fine = Ndt(replace(config, cell_m=config.fine_cell_m, fine_cell_m=0.0), capacity)
         self._allocate(capacity)
         self._open(64, 64)
 
@@ -112,12 +121,33 @@ class Ndt:
         self.slots = np.full((3, rows, cols), EMPTY, np.int32)
 
     @property
+    def grid(self) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
+        """Origin, slots and normals, as `ndt_kernels` lays them out."""
+        return self.origin, self.slots, self.normals
+
+    @property
     def cells(self) -> int:
         """Number of cells that the points touch, on all four grids."""
         return int(self._counts[1])
 
     def build(self, points: Points) -> None:
         """Replace the reference by finite points (N, 2); none makes it empty."""
+        self._fit(points)
+        sample_tiles(
+            self.origin,
+            self.slots,
+            self.normals,
+            self._blocks,
+            self.tiles,
+            self._tile_places,
+            self.raster_variance,
+            self._counts,
+        )
+        if self.fine is not None:
+            self.fine._fit(points)
+
+    def _fit(self, points: Points) -> None:
+        """Make the cells, without their raster."""
         clear(self.slots, self._places, self._blocks, self._tile_places, self._counts)
         if len(points) == 0:
             return
@@ -138,16 +168,6 @@ class Ndt:
             self.normals,
             self._blocks,
             self._rule,
-            self._counts,
-        )
-        sample_tiles(
-            self.origin,
-            self.slots,
-            self.normals,
-            self._blocks,
-            self.tiles,
-            self._tile_places,
-            self.raster_variance,
             self._counts,
         )
 

@@ -19,6 +19,8 @@ from numba import njit
 
 EMPTY = -1
 SPARSE = -2
+THINNEST = 1e-6
+"""Variance (m^2) of a line: points nearer to each other than a few of its deviations are no wall."""
 SIDE = 4
 """Samples of the score field along the side of a half cell; a tile is one cache line."""
 
@@ -84,9 +86,11 @@ def fit(n, su, sv, suu, suv, svv, rule, normal):
     small = 0.5 * (xx + yy) - root
     angle = 0.5 * np.arctan2(xy, half)
     c, s = np.cos(angle), np.sin(angle)
+    # Judged before the floor is laid: else a short piece of wall is a blob, and holds points along the wall.
+    flat = max(small, THINNEST) < rule[3] * large
     large = max(large, rule[1])
     small = max(small, rule[1], rule[2] * large)
-    if small < rule[3] * large:
+    if flat:
         # A wall constrains across itself only: its extent inside the cell is where the cell was cut.
         large = large * rule[4]
     il, ism = 1.0 / large, 1.0 / small

@@ -18,8 +18,9 @@ from processing.se2 import Pose
 _T = TypeVar("_T", bound=np.generic)
 CELL_M = 0.25
 """Many scans fill a cell here, so it may be smaller than the half metre that one scan needs."""
-_BLURS = np.array((0.01, 0.0))
-"""Variances (m^2) that widen the cells: first a decimetre, for the basin; then as they are."""
+_STAGES = np.array(((0.01, 0.0), (0.0, 0.0)))
+"""Variances (m^2) that widen the cells: first a decimetre, for the basin; then as they are. No finer
+cells."""
 _FREE = 1e9
 """Degrees of freedom of a normal prior."""
 
@@ -84,7 +85,8 @@ class SettledMap:
         """Lay points (N, 2) on the map, from a guess held with the given information (3, 3), map axes."""
         prior = np.concatenate((map_t_guess, information.ravel(), (_FREE, 1.0)))
         pose, curvature, report = np.array(map_t_guess), np.zeros((2, 3, 3)), np.zeros(3)
-        polish(points, self._origin, self._slots, self._normals, prior, _BLURS, pose, curvature, report)
+        grid = (self._origin, self._slots, self._normals)
+        polish(points, grid, grid, prior, _STAGES, pose, curvature, report)
         return Fit(pose, curvature[1])
 
     def state(self) -> dict[str, NDArray[Any]]:
