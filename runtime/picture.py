@@ -4,6 +4,7 @@ Plain arrays in, an image out; the same arrays give the same bytes.
 """
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ WALL = (28, 36, 48)
 PATH = (214, 40, 40)
 HITS = (38, 99, 214)
 TRUTH = (120, 128, 136)
+GUESSES = (178, 132, 198)
 START = (22, 135, 84)
 INK = (70, 78, 88)
 
@@ -45,6 +47,7 @@ def render(
     trajectory: ArrayLike | None = None,
     *,
     truth: ArrayLike | None = None,
+    others: Sequence[NDArray[np.float64]] = (),
     hits: ArrayLike | None = None,
     hit_px: float = 1.0,
     caption: str = "",
@@ -60,6 +63,7 @@ def render(
         origin_m: Lower left corner of cell (0, 0), map frame.
         trajectory: (N, 2) or (N, 3) path of the laser, m, map frame: red, with a start ring and an end arrow.
         truth: (N, 2) or (N, 3) path to compare with, drawn in grey under the trajectory.
+        others: Ways (K, 2) of other guesses, drawn thinly in purple under the trajectory.
         hits: (M, 2) measured points, m, map frame, drawn in blue.
         hit_px: Half the edge of each hit.
         caption: One line under the map, in Latin letters.
@@ -75,8 +79,9 @@ def render(
     if not resolution_m > 0.0:
         raise ValueError(f"resolution_m = {resolution_m}, must be positive")
     path, path_truth, points = (_points(a) for a in (trajectory, truth, hits))
+    guessed = [_points(way) for way in others]
     if bounds_m is None:
-        cells = _extent(probability, resolution_m, origin_m, (path, path_truth, points), margin_m)
+        cells = _extent(probability, resolution_m, origin_m, (path, path_truth, points, *guessed), margin_m)
     else:
         cells = (np.array(bounds_m).reshape(2, 2) - origin_m)[:, ::-1] / resolution_m
     window, corner_m = _window(probability, resolution_m, origin_m, cells)
@@ -87,7 +92,11 @@ def render(
     rows, cols = window.shape
     canvas = ground.resize((cols * cell_px * _FINE, rows * cell_px * _FINE), Image.Resampling.NEAREST)
     frame = _Frame(corner_m, cell_px * _FINE / (resolution_m * shrink), canvas.height)
-    _draw_paths(ImageDraw.Draw(canvas), frame, path, path_truth, points, hit_px * _FINE)
+    draw = ImageDraw.Draw(canvas)
+    for way in guessed:
+        if len(way) > 1:
+            draw.line(frame.px(way), fill=GUESSES, width=_FINE)
+    _draw_paths(draw, frame, path, path_truth, points, hit_px * _FINE)
     return _with_legend(canvas, frame, caption, marked=len(path) > 0)
 
 

@@ -5,6 +5,7 @@ from drivers.world.drive import simulate_scans
 from drivers.world.generators import (
     corridor,
     demo_building,
+    doorway,
     hallway_with_doors,
     loop_corridor,
     pillar_hall,
@@ -30,6 +31,7 @@ __all__ = [
     "cast",
     "corridor",
     "demo_building",
+    "doorway",
     "hallway_with_doors",
     "loop_corridor",
     "outline",

@@ -101,6 +101,37 @@ def room(width_m: float = 6.0, depth_m: float = 5.0, furniture: bool = True) -> 
     return Building(np.vstack((walls, *pieces)), pillars, dark, route, closed=True, name="room")
 
 
+def doorway(width_m: float = 5.0, depth_m: float = 4.5) -> Building:
+    """Return two furnished rooms with an open door between them; the route goes through it and comes back."""
+    right, low = width_m + WALL_M, depth_m / 2 - DOOR_M / 2
+    free = [
+        (0.0, 0.0, width_m, depth_m),
+        (right, 0.0, right + width_m, depth_m),
+        (width_m, low, right, low + DOOR_M),
+    ]
+    pieces = [
+        box(0.6, depth_m - 0.6, 1.8, depth_m),
+        box(width_m - 0.5, 0.0, width_m, 0.9),
+        box(right + 1.6, depth_m - 0.45, right + 3.0, depth_m),
+        box(right + width_m - 0.6, 0.5, right + width_m, 1.3),
+    ]
+    middle, far = depth_m / 2, right + width_m - 1.3
+    route = np.array(
+        (
+            (1.2, 1.2),
+            (width_m - 1.4, middle),
+            (right + 1.4, middle),
+            (far, depth_m - 1.3),
+            (far - 1.6, 1.2),
+            (right + 1.4, middle),
+            (width_m - 1.4, middle),
+            (1.4, depth_m - 1.5),
+            (1.2, 1.2),
+        )
+    )
+    return Building(np.vstack((outline(free), *pieces)), route=route, name="doorway")
+
+
 def demo_building() -> Building:
     """Return the building of the demo, 20 x 15 m: a corridor in a loop, rooms around it, one spur.
 

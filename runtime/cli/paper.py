@@ -1,121 +1,85 @@
-"""Make our counterpart of the paper's figures and tables from simulated buildings with a known truth."""
+"""Make our counterpart of the paper's figures and tables from simulated buildings and from logs."""
 
 import argparse
 import json
+import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from runtime.errors import ConfigError
 
 if TYPE_CHECKING:
-    from runtime.cli.study.drives import Drive
-
-_COLUMNS = (
-    ("match_mm", "each match, mm", "{:.1f}"),
-    ("match_deg", "each match, deg", "{:.2f}"),
-    ("stretch_mm", "over 1 m, mm", "{:.0f}"),
-    ("ate_m", "whole way, m", "{:.3f}"),
-    ("max_m", "greatest, m", "{:.3f}"),
-    ("lost", "lost", "{:.0f}"),
-    ("degenerate", "one direction unseen", "{:.0f}"),
-    ("ms", "ms a scan", "{:.1f}"),
-)
+    from runtime.cli.study.work import Numbers
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
     parser.add_argument("--out", type=Path, default=Path("paper"), metavar="DIR", help="default paper")
-    parser.add_argument("--scans", type=int, default=1200, metavar="N", help="of each drive at most")
+    parser.add_argument(
+        "--scans",
+        type=int,
+        default=1200,
+        metavar="N",
+        help="of each drive at most (default 1200: under five minutes on two cores)",
+    )
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of noise and search (default 1)")
-    parser.add_argument("--buildings", nargs="+", metavar="B", help="which of them (default all seven)")
+    parser.add_argument("--buildings", nargs="*", metavar="B", help="which of them (default all seven)")
+    parser.add_argument(
+        "--logs", nargs="+", type=Path, default=[], metavar="LOG", help="real logs to follow as well"
+    )
     parser.add_argument("--json", action="store_true", help="machine-readable, one object at the end")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write figures, `tables.md` and `numbers.json`; takes some minutes."""
-    from runtime.cli.study.drives import BUILDINGS, drive
-    from runtime.config import refuse_unknown
+    """Write figures, `tables.md` and `numbers.json`; the buildings are shared out to the cores."""
+    from runtime.cli.compiling import compile_here
 
     if not 20 <= args.scans <= 100_000:
         raise ConfigError(f"--scans = {args.scans}, must be in [20, 100000]")
-    names = args.buildings or list(BUILDINGS)
+    compile_here("paper")
+    from runtime.cli.study import tables
+    from runtime.cli.study.drives import BUILDINGS
+    from runtime.config import refuse_unknown
+    from runtime.formats.logs import open_log
+
+    names = list(BUILDINGS) if args.buildings is None else args.buildings
     refuse_unknown(names, list(BUILDINGS), "--buildings")
+    for log in args.logs:
+        open_log(log)  # what is wrong with it is said before the work begins
     args.out.mkdir(parents=True, exist_ok=True)
-    numbers: dict[str, dict[str, dict[str, float]]] = {}
-    for name in names:
-        print(f"{name} ...", file=sys.stderr, flush=True)
-        driven = drive(name, args.scans, args.seed)
-        numbers[name] = _study(driven, args.out, args.seed)
-    tables = _tables(numbers)
-    (args.out / "tables.md").write_text(tables, encoding="utf-8")
-    (args.out / "numbers.json").write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
-    print(json.dumps({"out": str(args.out), **numbers}) if args.json else tables, end="\n")
+    found: dict[str, Numbers] = {}
+    hurried: dict[str, Numbers] = {}
+    for name, numbers, hasty in _studied([*names, *args.logs], args):
+        print(f"{name}: done", file=sys.stderr, flush=True)
+        found[name] = numbers
+        if hasty:
+            hurried[name] = hasty
+    buildings = {name: found[name] for name in names}
+    hurried = {name: hurried[name] for name in names}
+    logs = {name: numbers for name, numbers in found.items() if name not in buildings}
+    page = tables.page(buildings, hurried, logs)
+    (args.out / "tables.md").write_text(page, encoding="utf-8")
+    report = {"buildings": buildings, "hurried": hurried, "logs": logs}
+    (args.out / "numbers.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    print(json.dumps({"out": str(args.out), **report}) if args.json else page.partition("## Figures")[0])
     return 0
 
 
-def _study(driven: "Drive", out: Path, seed: int) -> dict[str, dict[str, float]]:
-    """Follow one drive in every variant; draw the figures of the first two."""
-    from processing.slam import SlamConfig
-    from runtime.cli.study import drives, figures, stages
-    from runtime.picture import png
+def _studied(wheres: list[Any], args: argparse.Namespace) -> "Iterator[tuple[str, Numbers, Numbers]]":
+    """Study each drive, as many at once as there are cores; yield them as they are done."""
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+    from multiprocessing import get_context
 
-    numbers = {}
-    name = driven.name.replace(" ", "-")
-    for variant, config in stages.variants().items():
-        if isinstance(config, SlamConfig):
-            followed = drives.map_it(driven, config, seed)
-            (out / f"fig8-map-{name}.png").write_bytes(png(figures.map_of(driven, followed)))
-        else:
-            followed = drives.follow(driven, config, seed)
-        if variant == stages.MATCHER:
-            (out / f"fig6-way-{name}.png").write_bytes(png(figures.way(driven, followed)))
-        numbers[variant] = drives.errors(driven, followed)
-    middle = len(driven.scans) // 2
-    (out / f"fig2-resampling-{name}.png").write_bytes(png(figures.resampling(driven, middle)))
-    (out / f"fig4-evolution-{name}.png").write_bytes(png(figures.evolution(driven, middle, seed)))
-    return numbers
+    from runtime.cli.study.work import study
 
-
-def _tables(numbers: dict[str, dict[str, dict[str, float]]]) -> str:
-    from runtime.cli.study import stages
-
-    variants = list(stages.variants())
-    # In a bare corridor nobody can know how far the laser went: its error would drown every difference.
-    seen = [rows for rows in numbers.values() if not rows[stages.WHOLE]["degenerate"]]
-    means = {
-        variant: _mean([rows[variant] for rows in seen or list(numbers.values())]) for variant in variants
-    }
-    parts = [
-        "# The method in numbers\n",
-        "Errors against the truth of simulated drives with the noise of a URG-04LX; rms where nothing else is"
-        " said. Made by `hallway paper`.\n",
-        "## Each building\n",
-        _table({name: rows[stages.WHOLE] for name, rows in numbers.items()}, "building"),
-        "## What each stage is worth\n",
-        "Means over the buildings in which every direction is seen; lost and unseen are sums. In a bare"
-        " corridor no laser knows how far it went; what counts is that it says so: see the table above.\n",
-        _table(means, "pipeline"),
-    ]
-    return "\n".join(parts)
-
-
-def _mean(rows: list[dict[str, float]]) -> dict[str, float]:
-    import numpy as np
-
-    sums = ("lost", "degenerate")
-    return {key: float((np.sum if key in sums else np.mean)([row[key] for row in rows])) for key in rows[0]}
-
-
-def _table(rows: dict[str, dict[str, Any]], first: str) -> str:
-    head = (
-        f"| {first} | "
-        + " | ".join(title for _, title, _ in _COLUMNS)
-        + " |\n|"
-        + "---|" * (len(_COLUMNS) + 1)
-    )
-    lines = [
-        f"| {name} | " + " | ".join(form.format(row[key]) for key, _, form in _COLUMNS) + " |"
-        for name, row in rows.items()
-    ]
-    return "\n".join([head, *lines]) + "\n"
+    workers = min(len(os.sched_getaffinity(0)), len(wheres))
+    if workers < 2:
+        for where in wheres:
+            yield study(where, args.scans, args.out, args.seed)
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        tasks = [pool.submit(study, where, args.scans, args.out, args.seed) for where in wheres]
+        for task in as_completed(tasks):
+            yield task.result()

@@ -12,14 +12,16 @@ from runtime.picture import HITS, PATH
 @pytest.fixture(scope="module")
 def paper(tmp_path_factory):
     folder = tmp_path_factory.mktemp("paper")
-    assert main(["paper", "--out", str(folder), "--scans", "60", "--buildings", "room"]) == 0
+    assert main(["paper", "--out", str(folder), "--scans", "60", "--buildings", "doorway"]) == 0
     return folder
 
 
 def test_every_stage_is_measured_and_told(paper):
     numbers = json.loads((paper / "numbers.json").read_text())
-    assert set(numbers["room"]) == set(stages.variants())
-    whole = numbers["room"][stages.WHOLE]
+    assert (
+        set(numbers["hurried"]["doorway"]) == set(numbers["buildings"]["doorway"]) == set(stages.variants())
+    )
+    whole = numbers["buildings"]["doorway"][stages.WHOLE]
     assert whole["match_mm"] < 10.0
     assert whole["max_m"] < 0.1
     table = (paper / "tables.md").read_text()
@@ -27,22 +29,46 @@ def test_every_stage_is_measured_and_told(paper):
 
 
 def test_the_figures_show_the_way_and_its_hits(paper):
+    kinds = ("2-resampling", "4-evolution", "5-matching", "6-way", "7-way", "8-map", "9-particles")
     names = {path.name for path in paper.glob("*.png")}
-    assert {f"fig{what}-room.png" for what in ("2-resampling", "4-evolution", "6-way", "8-map")} == names
-    pixels = np.asarray(Image.open(paper / "fig6-way-room.png")).astype(int)
+    assert {f"fig{kind}-doorway.png" for kind in kinds} == names
+    assert all(f"({name})" in (paper / "tables.md").read_text() for name in names)
+    pixels = np.asarray(Image.open(paper / "fig6-way-doorway.png")).astype(int)
     for colour, least in ((HITS, 1000), (PATH, 50)):
         assert (np.abs(pixels - colour).max(axis=-1) < 20).sum() > least
 
 
 def test_the_same_seed_gives_the_same_drive_and_another_seed_another():
-    first, again, other = (drives.drive("room", 30, seed) for seed in (1, 1, 2))
+    first, again, other = (drives.drive("doorway", 30, seed) for seed in (1, 1, 2))
     pairs = zip(first.scans, again.scans, strict=True)
     assert all(np.array_equal(a.ranges_m, b.ranges_m, equal_nan=True) for a, b in pairs)
     assert not np.array_equal(first.scans[5].ranges_m, other.scans[5].ranges_m, equal_nan=True)
 
 
+def test_a_log_without_truth_is_told_by_how_crisp_its_map_is(tmp_path):
+    driven = drives.drive("doorway", 60, 1)
+    log = tmp_path / "walk.log"
+    write_carmen(log, driven)
+    out = tmp_path / "paper"
+    assert main(["paper", "--out", str(out), "--scans", "60", "--buildings", "--logs", str(log)]) == 0
+    numbers = json.loads((out / "numbers.json").read_text())
+    assert numbers["buildings"] == {}
+    assert set(numbers["logs"]["walk"]) == set(stages.of_a_log())
+    assert numbers["logs"]["walk"][stages.WHOLE]["conflict"] < 0.2
+    assert (out / "fig8-map-walk.png").is_file()
+
+
+def write_carmen(path, driven):
+    lines = []
+    for number, scan in enumerate(driven.scans):
+        ranges = np.where(np.isfinite(scan.ranges_m[:681]), scan.ranges_m[:681], 81.9)[34:-34:4]
+        text = " ".join(f"{r:.3f}" for r in ranges)
+        lines.append(f"FLASER {len(ranges)} {text} 0 0 0 0 0 0 {number / 10} h {number / 10}")
+    path.write_text("\n".join(lines) + "\n")
+
+
 def test_errors_of_the_truth_itself_are_none():
-    driven = drives.drive("room", 60, 1)
+    driven = drives.drive("doorway", 60, 1)
     perfect = drives.Followed(driven.truth, np.zeros((0, 2)), 0, 0, 1.0)
     errors = drives.errors(driven, perfect)
     assert errors["match_mm"] == pytest.approx(0.0, abs=1e-6)

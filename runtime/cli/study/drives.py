@@ -1,8 +1,9 @@
-"""Seven buildings like those of the paper, a drive through each, and how well it was followed."""
+"""A drive through a building like the paper's, or out of a log, and how well it was followed."""
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +14,15 @@ from drivers.world.laser import bearings
 from processing.evaluation import absolute_errors, relative_errors, summarise
 from processing.occupancy import OccupancyGrid
 from processing.odometry import LaserOdometry, OdometryConfig
-from processing.scan import Beams, Scan
+from processing.scan import Beams, Scan, end_points
 from processing.se2 import Pose, between, compose, transform
+from processing.sharpness import sharpness
 from processing.slam import Slam, SlamConfig
 
 BUILDINGS: dict[str, Callable[[], world.Building]] = {
     "corridor": world.corridor,
     "hallway": world.hallway_with_doors,
-    "room": world.room,
+    "doorway": world.doorway,
     "pillar hall": world.pillar_hall,
     "loop": lambda: world.loop_corridor(60.0),
     "square": lambda: world.square_of_corridors(20.0),
@@ -35,8 +37,8 @@ class Drive:
 
     name: str
     scans: list[Scan]
-    truth: Pose
-    """(N, 3) of the laser at the first ray of each scan, seen from the first."""
+    truth: Pose | None
+    """(N, 3) of the laser at the first ray of each scan, seen from the first; None where nobody knows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +52,8 @@ class Followed:
     degenerate: int
     ms_per_scan: float
     grid: OccupancyGrid | None = None
+    lineages: tuple[Pose, ...] = ()
+    """(K, 3) of each particle at the key scans, that of the best one first."""
 
 
 def drive(name: str, scans_max: int, seed: int) -> Drive:
@@ -70,6 +74,22 @@ def drive(name: str, scans_max: int, seed: int) -> Drive:
         poses.append(pose)
     truth = np.array(poses)
     return Drive(name, scans, between(truth[0], truth))
+
+
+def logged(path: Path, scans_max: int) -> Drive:
+    """Read a drive from a log of any kind that `hallway map` takes."""
+    from runtime.formats.logs import open_log
+    from runtime.nodes.log_scans import iterate
+
+    scans = [scan for scan, _ in zip(iterate(open_log(path)), range(scans_max), strict=False)]
+    return Drive(path.name.split(".")[0], scans, None)
+
+
+def hurried(drive: Drive, times: int) -> Drive:
+    """Return the drive as it looks when only every so many-th scan is seen: that much faster, as sharp."""
+    beams = replace(drive.scans[0].beams, period_s=times * drive.scans[0].beams.period_s)
+    scans = [Scan(scan.stamp_ns, scan.ranges_m, beams) for scan in drive.scans[::times]]
+    return Drive(drive.name, scans, None if drive.truth is None else drive.truth[::times])
 
 
 def follow(drive: Drive, config: OdometryConfig, seed: int) -> Followed:
@@ -98,7 +118,10 @@ def map_it(drive: Drive, config: SlamConfig, seed: int) -> Followed:
     took_s = time.process_time() - began
     _, poses = slam.trajectory()
     hits = [transform(pose, seen) for pose, seen in zip(poses, points, strict=True)]
-    return _followed(list(poses), hits, states, took_s, slam.occupancy())
+    people = slam.mapping.population
+    order = [people.best, *(p for p in range(people.config.particles) if p != people.best)]
+    lineages = tuple(people.ancestry.path(particle) for particle in order)
+    return _followed(list(poses), hits, states, took_s, slam.occupancy(), lineages)
 
 
 def _followed(
@@ -107,6 +130,7 @@ def _followed(
     states: list[str],
     took_s: float,
     grid: OccupancyGrid | None = None,
+    lineages: tuple[Pose, ...] = (),
 ) -> Followed:
     return Followed(
         np.array(poses),
@@ -115,11 +139,30 @@ def _followed(
         states.count("DEGENERATE"),
         1e3 * took_s / len(states),
         grid,
+        lineages,
     )
 
 
 def errors(drive: Drive, followed: Followed) -> dict[str, float]:
-    """Return how far the estimate is from the truth, by name and unit."""
+    """Return how far the estimate is from the truth, by name and unit.
+
+    Where nobody knows the truth: how crisp the map is that the scans make at the estimated poses.
+    """
+    said = {
+        "lost": followed.lost,
+        "degenerate": followed.degenerate,
+        "ms": followed.ms_per_scan,
+        "scans": len(drive.scans),
+    }
+    if drive.truth is None:
+        crisp = sharpness(
+            [
+                transform(pose, end_points(scan, np.zeros(3))[0])
+                for pose, scan in zip(followed.map_t_laser, drive.scans, strict=True)
+            ],
+            followed.map_t_laser[:, :2],
+        )
+        return said | {"entropy": crisp.mean_map_entropy, "conflict": crisp.ray_conflict}
     estimate = compose(np.zeros(3), followed.map_t_laser)
     ate = summarise(absolute_errors(drive.truth, estimate).translation_m)
     steps = between(drive.truth[:-1], drive.truth[1:])
@@ -129,17 +172,11 @@ def errors(drive: Drive, followed: Followed) -> dict[str, float]:
     stretch_mm = 1e3 * summarise(rpe.translation_m).rmse if len(rpe) else float("nan")
     return {
         "match_mm": 1e3 * float(np.sqrt(np.mean(off[:, 0] ** 2 + off[:, 1] ** 2))),
+        "ahead_mm": 1e3 * float(np.sqrt(np.mean(off[:, 0] ** 2))),
+        "aside_mm": 1e3 * float(np.sqrt(np.mean(off[:, 1] ** 2))),
         "match_deg": float(np.degrees(np.sqrt(np.mean(off[:, 2] ** 2)))),
         "stretch_mm": stretch_mm,
         "ate_m": ate.rmse,
         "max_m": ate.max,
-        "lost": followed.lost,
-        "degenerate": followed.degenerate,
-        "ms": followed.ms_per_scan,
+        **said,
     }
-
-
-def all_drives(scans_max: int, seed: int) -> Iterator[Drive]:
-    """Yield a drive through each building."""
-    for name in BUILDINGS:
-        yield drive(name, scans_max, seed)
