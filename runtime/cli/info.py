@@ -1,4 +1,4 @@
-"""Say what is in a recording, a laser log or a results folder, and what is missing from it."""
+"""Say what is in a recording, a session, a laser log or a results folder, and what is missing from it."""
 
 import argparse
 import json
@@ -7,10 +7,12 @@ from typing import Any
 
 from runtime.errors import DataLostError
 
+PAINTS = {"erased": 1, "wall": 2, "keep_out": 3}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
-    parser.add_argument("file", type=Path, help="recording (also cut), log, bag, or results folder")
+    parser.add_argument("file", type=Path, help="recording (also cut), session, log, bag, or folder")
     parser.add_argument("--topic", metavar="T", help="which laser of a bag")
     parser.add_argument("--json", action="store_true", help="machine-readable, one object")
 
@@ -25,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     elif _is_recording(path):
         from runtime.recording_info import describe
 
-        report = describe(path)
+        report = _with_session(describe(path), path)
     else:
         report = _log(path, args.topic)
     if args.json:
@@ -42,6 +44,25 @@ def _is_recording(path: Path) -> bool:
         return False
     with path.open("rb") as file:
         return file.read(len(MAGIC)) == MAGIC
+
+
+def _with_session(report: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Add what a session has beside its scans, and whether it can be gone on with."""
+    from runtime.formats.errors import FormatError
+    from runtime.session import RECORD, SUMS, read_session
+
+    record = report.pop(RECORD, None)
+    report.pop(SUMS, None)
+    if record is None:
+        return report
+    try:
+        parts = read_session(path).parts
+    except FormatError as error:
+        report["missing"].append(str(error))
+        return report | {"kind": "session", "session": record}
+    painted = {name: int((parts.layer["paints"] == number).sum()) for name, number in PAINTS.items()}
+    held = {"key_scans": len(parts.posterior["keys"]), "painted_cells": painted}
+    return report | {"kind": "session", "session": record | held}
 
 
 def _results(path: Path) -> dict[str, Any]:
