@@ -55,7 +55,6 @@ TWINS = {
         "newton_step": "unit/test_kernels.py::test_the_compiled_polish_ends_where_the_plain_one_does",
         "solve": "unit/test_kernels.py::test_three_equations_are_solved_or_refused_as_by_numpy",
         "polish": "unit/test_kernels.py::test_the_compiled_polish_ends_where_the_plain_one_does",
-        "blend": "unit/test_kernels.py::test_the_compiled_polish_ends_where_the_plain_one_does",
     },
     "ndt_kernels": {
         "accumulate": SCORE,
