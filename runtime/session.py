@@ -104,12 +104,18 @@ class SessionWriter:
         number = self._counts[drive] = self._counts.get(drive, 0) + 1
         self._writer.add(_channel(drive), number, stamp_ns, stamp_ns, payload)
 
-    def copy(self, session: Path, most: int | None = None) -> None:
-        """Append the scans of another session, or of what was left of one; `most` first ones if given."""
-        for number, (drive, stamp_ns, payload) in enumerate(scans_of(session)):
+    def copy(self, session: Path, most: int | None = None, drive: int | None = None) -> None:
+        """Append the scans of another session, or of what was left of one.
+
+        Args:
+            session: Where they are.
+            most: Only so many, the first ones.
+            drive: Number of the drive that they become; their own if None.
+        """
+        for number, (own, stamp_ns, payload) in enumerate(scans_of(session)):
             if number == most:
                 return
-            self.add(drive, stamp_ns, payload)
+            self.add(drive or own, stamp_ns, payload)
 
     def flush(self) -> None:
         """Hand the scans to the system, which keeps them when this process is killed."""

@@ -45,9 +45,11 @@ class Returning:
         self.config = config or DpSlamConfig()
         self.seed, self.fixed = seed, fixed
         self._past, self._layer = past, layer or Layer.none()
-        saved = rebuild(past, self.config, seed)
-        self._layer.write_on(saved.population.store, past.map_t_laser)
-        self.finder = Finder(saved.population.store, saved.population.best)
+        self.saved = rebuild(past, self.config, seed, fixed=True)
+        """The saved map as painted; it does not change."""
+        people = self.saved.population
+        self._layer.write_on(people.store, past.map_t_laser)
+        self.finder = Finder(people.store, people.best)
         self._mapper = DpSlam(self.config, seed)
         self._sweeper: Sweeper | None = None
         self._drives = np.zeros(1, dtype=np.int64)
@@ -109,8 +111,9 @@ class Returning:
         return self._mapper.trajectory()
 
     def occupancy(self) -> OccupancyGrid:
-        """Return the map of everything; of this drive alone if it was not found."""
-        return self._mapper.occupancy()
+        """Return the map of everything, as painted; of this drive alone if it was not found."""
+        grid = self._mapper.occupancy()
+        return self._layer.over(grid, self.population.path) if self.found else grid
 
     def past(self) -> Past:
         """Return what is to be saved; `finish` first."""

@@ -5,6 +5,7 @@ have changed. Guests on other machines get neither: they ask for tiles.
 """
 
 from processing.dpslam.filter import DpSlam
+from processing.dpslam.resume import Returning
 from runtime import messages
 from runtime.nodes.convert import pose_to_message
 from runtime.port import Port
@@ -38,7 +39,7 @@ class MapTeller:
         """Of what is known, in words."""
         port.answer("map", self._tiles.answer)
 
-    def tell(self, mapping: DpSlam, stamp_ns: int) -> None:
+    def tell(self, mapping: DpSlam | Returning, stamp_ns: int) -> None:
         """Publish what is due; `stamp_ns` is that of the last scan worked in."""
         now_ns = self._port.clock.now_ns()
         if self.changed and now_ns - self._told_ns >= self._period_ns:
@@ -51,7 +52,7 @@ class MapTeller:
             self._path_behind, self._path_ns = False, now_ns
             self._path(mapping, stamp_ns)
 
-    def _map(self, mapping: DpSlam, stamp_ns: int, now_ns: int) -> None:
+    def _map(self, mapping: DpSlam | Returning, stamp_ns: int, now_ns: int) -> None:
         grid = mapping.occupancy()
         rows, cols = grid.probability.shape
         self.size = f"{cols * grid.resolution_m:.1f} m x {rows * grid.resolution_m:.1f} m"
@@ -79,7 +80,7 @@ class MapTeller:
         self._whole_ns, self._behind = now_ns, False
         self._port.publish("map", grid_message(self._tiles.picture))
 
-    def _path(self, mapping: DpSlam, stamp_ns: int) -> None:
+    def _path(self, mapping: DpSlam | Returning, stamp_ns: int) -> None:
         stamps_ns, path = mapping.trajectory()
         every = max(1, -(-len(path) // PATH_POSES))
         # From the end backwards, so that the newest pose stays.

@@ -12,6 +12,7 @@ import numpy as np
 from processing import se2
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.filter import DpSlam, MapStep
+from processing.dpslam.resume import Returning
 from processing.motion import Motion, following
 from processing.odometry import LaserOdometry, OdometryConfig
 from processing.scan import Scan
@@ -25,6 +26,7 @@ from runtime.nodes.convert import (
     scan_from_message,
     transform_to_message,
 )
+from runtime.nodes.live_session import LiveSession, Mapper, shown
 from runtime.nodes.map_teller import MapTeller
 from runtime.nodes.matcher import rehearsal
 from runtime.port import Port, Subscription
@@ -50,10 +52,16 @@ class Config:
     mapping: DpSlamConfig = field(default_factory=DpSlamConfig)
     map_period_s: float = 1.0
     """The map is published so often at most, and only when it has changed."""
+    session: str = ""
+    """A saved map on which the drive begins, anywhere: session file or results folder; empty for none."""
+    extend: bool = False
+    """Whether the drive is mapped onto it; else the map stays as it is and the laser is followed on it."""
 
     def __post_init__(self) -> None:
         if not 0.1 <= self.map_period_s <= 60.0:
             raise ValueError(f"map_period_s = {self.map_period_s}, must be in [0.1, 60]")
+        if self.extend and not self.session:
+            raise ValueError("extend = True, must be False without a session")
 
 
 def run(port: Port, config: Config) -> int:
@@ -142,20 +150,22 @@ class _Mapper:
 
     def __init__(self, port: Port, config: Config) -> None:
         self._port, self._config = port, config
-        self._checkpoint = Checkpoint(
-            port.run_dir / "mapper.checkpoint", CHECKPOINT_NS, (config.mapping, port.seed)
-        )
+        identity = (config.mapping, config.session, config.extend, port.seed)
+        self._checkpoint = Checkpoint(port.run_dir / "mapper.checkpoint", CHECKPOINT_NS, identity)
         kept = self._checkpoint.read()
-        self._filter: DpSlam
+        earlier = kept[3] if kept else ()
+        self._session = LiveSession(port, config.session, config.extend, config.mapping, earlier)
+        self._filter: Mapper
         self._odometry: list[se2.Pose]
         self._stamp_ns: int
-        self._filter, self._odometry, self._stamp_ns = kept or (DpSlam(config.mapping, port.seed), [], 0)
+        self._filter, self._odometry, self._stamp_ns = kept[:3] if kept else (self._session.mapper(), [], 0)
         self._resumed = kept is not None
         if self._resumed:
             port.count("resumptions")
             port.log.warning("goes on with the map of the process before it, %d scans", len(self._odometry))
         self._teller = MapTeller(port, config.map_period_s)
-        self._teller.changed = self._resumed  # what the process before it had published went with it
+        # What the process before it had published went with it; and a saved map is shown at once.
+        self._teller.changed = self._resumed or self._session.begins_on_map
 
     def take(self, scan: Scan, motion: Motion) -> None:
         """Work one scan in and say where the laser is."""
@@ -167,10 +177,13 @@ class _Mapper:
             self._port.count("refused_scans")
             self._port.report("error", f"scan refused: {error}")
             return
+        self._session.add(scan)
         self._odometry.append(motion.odom_t_laser)
         self._stamp_ns = scan.stamp_ns
         self._teller.changed |= step.updated
-        self._publish(step, motion)
+        # Nobody shall drive by a pose on the map before the drive is found there.
+        if not self._session.still_looking(self._filter, step):
+            self._publish(step, motion)
 
     def _over_the_gap(self, scan: Scan, motion: Motion) -> Motion:
         """Give the first motion after a restart the doubt of those that nobody worked in."""
@@ -181,7 +194,8 @@ class _Mapper:
         """Write down what the next process needs if this one is killed, now and then, after the answers."""
         if not self._odometry or not self._checkpoint.due(self._stamp_ns):
             return
-        if not self._checkpoint.write(self._stamp_ns, (self._filter, self._odometry, self._stamp_ns)):
+        state = (self._filter, self._odometry, self._stamp_ns, self._session.kept())
+        if not self._checkpoint.write(self._stamp_ns, state):
             self._port.count("checkpoints_failed")
 
     def _publish(self, step: MapStep, motion: Motion) -> None:
@@ -207,15 +221,18 @@ class _Mapper:
 
     def tell(self) -> None:
         """Publish map and trajectory, if they changed and it is time."""
-        self._teller.tell(self._filter, self._stamp_ns)
+        self._teller.tell(shown(self._filter), self._stamp_ns)
 
     def save(self) -> None:
         """Write the results folder of this run, if anybody wants one and there is something in it."""
         if self._port.results_dir is None or not self._odometry:
             return
         self._filter.finish()
+        first = self._filter.first_scan if isinstance(self._filter, Returning) else 0
         stamps_ns, trajectory = self._filter.trajectory()
+        stamps_ns, trajectory = stamps_ns[first:], trajectory[first:]
         occupancy = self._filter.occupancy()
+        session, keep_out = self._session.leave(self._filter, occupancy)
         steps = np.diff(trajectory[:, :2], axis=0)
         grid = GridMap(occupancy.probability, occupancy.resolution_m, occupancy.origin_m)
         known = np.count_nonzero(~np.isnan(grid.probability)) * grid.resolution_m**2
@@ -232,7 +249,9 @@ class _Mapper:
                 "known_m2": float(known),
                 "resolution_m": grid.resolution_m,
             },
-            run=provenance(self._port.seed) | {"frame": "laser"},
+            run=provenance(self._port.seed) | {"frame": "laser"} | dict(self._session.about(self._filter)),
+            session=session,
+            keep_out=keep_out,
             caption=f"{self._port.robot}, {len(trajectory)} scans, laser alone",
         )
         save(self._port.results_dir, result)
