@@ -17,9 +17,10 @@ from processing.motion import Motion, anew_covariance, lost_covariance
 from processing.ndt import Ndt, NdtConfig
 from processing.observability import view, widened
 from processing.prediction import ConstantVelocity, PredictionConfig, Prior, exponential, turned
+from processing.recovery import KeyScan
 from processing.saliency import Resampler, ResamplingConfig
 from processing.scan import Beams, Scan
-from processing.se2 import Pose, between, compose, snap_yaw, transform
+from processing.se2 import between, compose, snap_yaw, transform
 from processing.tracking import Watch
 
 Points = NDArray[np.float64]
@@ -83,12 +84,6 @@ class Match:
     """Poses that the search tried."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _KeyScan:
-    odom_t_laser: Pose
-    points_odom: Points
-
-
 class LaserOdometry:
     """Follows the laser from scan to scan."""
 
@@ -98,7 +93,7 @@ class LaserOdometry:
         self._matcher = Matcher(config.matching, seed)
         self._filter = ConstantVelocity(config.prediction)
         self._reference = Ndt(config.ndt)
-        self._keys: list[_KeyScan] = []
+        self._keys: list[KeyScan] = []
 
     def step(self, scan: Scan, missed: int = 0) -> Match:
         """Match the next scan.
@@ -121,7 +116,7 @@ class LaserOdometry:
             matching, fits = self._locate(points, prior, watch)
         if prior is not None and not fits:
             watch.miss(self._filter, missed)
-        if prior is not None and matching is not None and not watch.lost:
+        if prior is not None and matching is not None and (watch.trying or not watch.lost):
             # One that does not fit may still tell a little, as long as it is not known to be wrong.
             seen = view(matching.information)
             pose = seen.hold(matching.pose, prior.pose)
@@ -160,9 +155,7 @@ class LaserOdometry:
         followed = watch.follow(points, prior, self._matcher, self._reference)
         if followed is not None:
             return followed, True
-        points_odom = np.concatenate([key.points_odom for key in self._keys])
-        found = watch.find(points, matching, self._filter, self._matcher, self._reference, points_odom)
-        return (matching, False) if found is None else (found, True)
+        return watch.find(points, matching, self._filter, self._matcher, self._reference, self._keys)
 
     def _prepare(self, scan: Scan) -> tuple[Resampler, float, Watch]:
         """Learn the beams from the first scan, and hold every other scan to them."""
@@ -188,7 +181,7 @@ class LaserOdometry:
     def _remember(self, points: Points) -> None:
         """Put the scan into the local map, and drop what is too old."""
         kept = self.config.key_scans if self.config.reference == "local_map" else 1
-        self._keys.append(_KeyScan(self._filter.pose.copy(), transform(self._filter.pose, points)))
+        self._keys.append(KeyScan(self._filter.pose.copy(), transform(self._filter.pose, points)))
         del self._keys[:-kept]
         self._reference.build(np.concatenate([key.points_odom for key in self._keys]))
 

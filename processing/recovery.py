@@ -1,9 +1,13 @@
 """Finding a lost laser on the local map: is there one place, and only one, where its scan fits?
 
 The farther back the last good scan is, the farther away the laser is looked for. A place counts when the scan
-fits there nearly as scans usually do, and when no other place in reach comes near it. In a plain corridor
-there are no places: there, for a moment, the laser counts as being where it was lost.
+fits there nearly as scans usually do, and when no other place in reach comes near it. A laser that was only
+covered for a moment, though, counts as being where it was, if it may be: in a plain corridor nothing else can
+tell. A place is on trial first: the scans that follow must fit, too, followed from there.
 """
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,6 +17,7 @@ from processing.ndt import Ndt, Points
 from processing.observability import view
 from processing.prediction import ConstantVelocity, Prior, turned
 from processing.se2 import Pose, between
+from processing.sightlines import plausible
 
 CELL_M = 0.1
 FIT_M = 0.12
@@ -23,6 +28,12 @@ LEAST_FIT = 0.6
 """Share of the points that must find their wall."""
 AGAIN = 0.7
 """Share of the usual score at which the laser is found again."""
+TRIAL_S = 1.0
+"""For so long a place is on trial:"""
+PASSED = 0.9
+"""the scans after the first must have this share of the usual score in the mean,"""
+FAILED = 0.6
+"""and none may have less than this."""
 ALIKE = 0.8
 """A second place with this share of the best one's score makes the first one nobody's."""
 APART_M = 0.5
@@ -38,12 +49,22 @@ SPEED_M_S = 1.5
 TURN_RAD_S = 1.0
 """and by how much farther with every second."""
 MOMENT_S = 2.0
-"""For so long the track is taken up in a corridor where it was lost."""
+"""A laser covered for less is taken up where it was when the scan fits there as well as anywhere:"""
+NEARLY = 0.95
+"""with this share of the best score."""
 PATIENCE_S = 3.0
 """After so much time of seeing, a new local map begins."""
 LEAST_POINTS = 20
 COVER_M = 0.3
 """A laser that sees fewer points, or nearly all of them nearer than this, is covered."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyScan:
+    """One scan of the local map."""
+
+    odom_t_laser: Pose
+    points_odom: Points
 
 
 class Recovery:
@@ -56,6 +77,32 @@ class Recovery:
         self.since_s = since_s
         """Time since the last good scan."""
         self._seeing_s = 0.0
+        self._trial: list[float] | None = None
+
+    @property
+    def trying(self) -> bool:
+        """Whether a place is on trial."""
+        return self._trial is not None
+
+    def judge(self, share: float, period_s: float) -> bool | None:
+        """Take the next scan of the trial.
+
+        Args:
+            share: Its score as a share of the usual one.
+            period_s: From scan to scan.
+
+        Returns:
+            Whether the place was right; None while that is open.
+        """
+        trial = self._trial if self._trial is not None else []
+        trial.append(share)
+        if share >= FAILED and len(trial) * period_s < TRIAL_S:
+            return None
+        self._trial = None
+        right = bool(share >= FAILED and np.mean(trial) >= PASSED)
+        if not right:
+            self._seeing_s += len(trial) * period_s
+        return right
 
     @property
     def hopeless(self) -> bool:
@@ -81,33 +128,53 @@ class Recovery:
         near: Matching,
         matcher: Matcher,
         reference: Ndt,
-        points_odom: Points,
+        keys: Sequence[KeyScan],
         usual: float,
+        duration_s: float,
     ) -> Matching | None:
-        """Return where the scan fits, if it is one place.
+        """Return where the scan fits, if it is one place; that is on trial then.
 
         Args:
             points: (N, 2) of the scan, N >= 1.
             near: The best match around where the laser was expected.
             matcher: Polishes.
             reference: The local map, and
-            points_odom: (M, 2) the points that it was made of.
+            keys: the scans that it was made of.
             usual: Score of scans that fit.
+            duration_s: Time that the scan stands for.
         """
+        found = self._only_place(points, near, matcher, reference, keys, usual)
+        if found is not None:
+            self._trial = []
+        elif not covered(points):
+            self._seeing_s += duration_s
+        return found
+
+    def _only_place(
+        self,
+        points: Points,
+        near: Matching,
+        matcher: Matcher,
+        reference: Ndt,
+        keys: Sequence[KeyScan],
+        usual: float,
+    ) -> Matching | None:
+        points_odom = np.concatenate([key.points_odom for key in keys])
         found = [near, *self._places(points, near.pose, matcher, reference, points_odom)]
         best = max(found, key=lambda matching: matching.score)
         if best.score < AGAIN * usual:
             return None
+        if not plausible(
+            points, best.pose, points_odom, [(key.odom_t_laser, key.points_odom) for key in keys]
+        ):
+            return None
+        alike = near.score >= AGAIN * usual and near.score >= NEARLY * best.score
+        if self.since_s < MOMENT_S and self._seeing_s == 0.0 and alike:
+            return near
         if len(view(best.information).unseen):
-            expected = near.score >= ALIKE * best.score and near.score >= AGAIN * usual
-            return near if expected and self.since_s < MOMENT_S else None
+            return None
         rivals = [other for other in found if _apart(best.pose, other.pose)]
         return None if any(other.score > ALIKE * best.score for other in rivals) else best
-
-    def see(self, points: Points, duration_s: float) -> None:
-        """Count the time in which the laser saw enough to be found, and was not."""
-        if not covered(points):
-            self._seeing_s += duration_s
 
     def _places(
         self, points: Points, guess: Pose, matcher: Matcher, reference: Ndt, points_odom: Points

@@ -6,6 +6,7 @@ of the local map, so that a wrong place cannot make itself at home. The laser is
 when that finds nothing for too long, the track is lost, and the search grows (`recovery`).
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,13 +14,15 @@ import numpy as np
 from processing.matching import Matcher, Matching
 from processing.ndt import Ndt, NdtConfig, Points
 from processing.prediction import ConstantVelocity, Prior
-from processing.recovery import Recovery
+from processing.recovery import KeyScan, Recovery
 
 FIT = 0.5
 """Share of the usual score from which a scan fits.
 
 On real logs one scan in some thousands scores less where it is; carried elsewhere, most score under 0.3.
 """
+SURE = 0.75
+"""The same after a scan that did not fit: the laser may be elsewhere."""
 CONTINUOUS = 0.27
 """Score on the last good scan from which two scans are of one place.
 
@@ -53,6 +56,11 @@ class Watch:
         return self._misses >= self._patience
 
     @property
+    def trying(self) -> bool:
+        """Whether the laser may have been found again: the scans that follow must tell."""
+        return self._recovery is not None and self._recovery.trying
+
+    @property
     def hopeless(self) -> bool:
         """Whether it is time to begin anew: the laser sees, and is nowhere on the local map."""
         return self.lost and self._recovery is not None and self._recovery.hopeless
@@ -68,11 +76,13 @@ class Watch:
         if self._recovery is None:
             return filter_.advance(duration_s)
         self._recovery.since_s = self.since_s
-        return self._recovery.stand(filter_) if self.lost else filter_.advance(duration_s)
+        stands = self.lost and not self._recovery.trying
+        return self._recovery.stand(filter_) if stands else filter_.advance(duration_s)
 
     def accept(self, matching: Matching, anyhow: bool = False) -> bool:
         """Judge a match, or take it `anyhow`; one that fits goes into what is usual."""
-        if not anyhow and (self.lost or matching.score < FIT * self._usual):
+        least = FIT if self._misses == 0 else SURE
+        if not anyhow and (self.lost or self.trying or matching.score < least * self._usual):
             return False
         self._good(matching.score)
         return True
@@ -92,7 +102,7 @@ class Watch:
             matcher: Matches.
             reference: The local map.
         """
-        if self.lost:
+        if self.lost or self.trying:
             return None
         self._before.build(self._last)
         step = matcher.match(points, self._before, prior)
@@ -110,9 +120,9 @@ class Watch:
         filter_: ConstantVelocity,
         matcher: Matcher,
         reference: Ndt,
-        points_odom: Points,
-    ) -> Matching | None:
-        """Look for the laser farther away; where it is found, the filter goes on from there.
+        keys: Sequence[KeyScan],
+    ) -> tuple[Matching, bool]:
+        """Look for the laser farther away, or go on with a place that is on trial.
 
         Args:
             points: (N, 2) of the scan, N >= 1.
@@ -120,16 +130,26 @@ class Watch:
             filter_: Of the motion.
             matcher: Polishes places.
             reference: The local map, and
-            points_odom: (M, 2) the points that it was made of.
+            keys: the scans that it was made of.
+
+        Returns:
+            The match to go on with, and whether it is accepted.
         """
-        self._recovery = self._recovery or Recovery(filter_, self._duration_s)
-        found = self._recovery.look(points, near, matcher, reference, points_odom, self._usual)
+        recovery = self._recovery = self._recovery or Recovery(filter_, self._duration_s)
+        if recovery.trying:
+            passed = recovery.judge(near.score / self._usual, self._duration_s)
+            if passed:
+                self._good(near.score)
+            if passed is not False:
+                return near, bool(passed)
+            # The filter has followed a wrong place.
+            self._misses = max(self._misses, self._patience)
+            recovery.stand(filter_)
+        found = recovery.look(points, near, matcher, reference, keys, self._usual, self._duration_s)
         if found is None:
-            self._recovery.see(points, self._duration_s)
-            return None
-        self._recovery.arrive(filter_, found.pose)
-        self._good(found.score)
-        return found
+            return near, False
+        recovery.arrive(filter_, found.pose)
+        return found, False
 
     def miss(self, filter_: ConstantVelocity, missed: int) -> None:
         """Note a scan that told nothing, and the missing ones before it."""

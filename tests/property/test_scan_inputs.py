@@ -125,9 +125,12 @@ def test_after_scans_without_a_point_the_track_is_taken_up_again():
     wall = Scan(
         0, (1.5 / np.maximum(abs(np.cos(bearings)), abs(np.sin(bearings)))).astype(np.float32), nothing.beams
     )
-    matches = [odometry.step(scan) for scan in (nothing, wall, wall, *(nothing,) * 4, wall, wall)]
-    assert [match.motion.lost for match in matches] == [True, False, False, *(True,) * 4, False, False]
-    assert [match.state is Tracking.LOST for match in matches[3:]] == [*(False,) * 3, True, False, False]
+    matches = [odometry.step(scan) for scan in (nothing, wall, wall, *(nothing,) * 4, *(wall,) * 12)]
+    assert [match.motion.lost for match in matches[:7]] == [True, False, False, *(True,) * 4]
+    assert [match.state is Tracking.LOST for match in matches[3:7]] == [False, False, False, True]
+    assert not matches[-1].motion.lost
+    assert matches[-1].state is Tracking.TRACKING
+    assert not any(match.motion.anew for match in matches[2:])
     np.testing.assert_allclose(odometry.step(wall).motion.odom_t_laser, 0.0, atol=0.02)
 
 
