@@ -1,0 +1,153 @@
+"""What each stage of the laser odometry earns: one table, a row for each thing left out or changed.
+
+    python tests/bench/odometry_ablation.py [--whole] [--only WORDS] [--scans N]
+
+Without --whole the first 3000 scans of the Intel and 2500 of the FR079 log are taken. Relations: mean of the
+translational error in m / of the rotational in degrees. Simulated courses: largest error of position in % of
+the way / in m, seen from the start; room, corridor with doors, hall and demo by a URG-04LX, the square of
+corridors by a SICK. exp1, exp2: rms / greatest difference of the distance moved in 1 s from that by the
+wheels, m (about 0.05 is the wheels' own). CPU: ms a scan of the one thread, median / 99th percentile, on exp1, warm.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+
+import numpy as np
+from odometry_courses import logged, over_scans, simulated
+
+from processing.evaluation import nearest_stamps, relation_errors
+from processing.evolution import TABLE_1
+from processing.odometry import LaserOdometry, OdometryConfig
+from processing.se2 import between, compose, invert
+
+PLACES = ("room", "corridor with doors", "hall", "demo", "square of corridors")
+FIRST = {"intel": 3000, "fr079": 2500}
+WARM_UP = 20
+
+
+def variants() -> dict[str, OdometryConfig]:
+    """Name of a row -> configuration."""
+    base = OdometryConfig()
+    m, r, n, p = base.matching, base.resampling, base.ndt, base.prediction
+    table_1 = replace(m, search=TABLE_1)
+    none = replace(m.search, generations=0)
+    # A wide window and a velocity that may be anything: the scan alone decides where it lies.
+    free = replace(p, acceleration=50.0, turning=50.0)
+    rows = {
+        "default": base,
+        "no resampling": replace(base, resampling=replace(r, points=0)),
+        "60 points": replace(base, resampling=replace(r, points=60)),
+        "reference: key scan": replace(base, reference="key_scan"),
+        "reference: previous scan": replace(base, reference="previous_scan"),
+        "local map of 5 key scans": replace(base, key_scans=5),
+        "local map of 60 key scans": replace(base, key_scans=60),
+        "cells 0.25 m": replace(base, ndt=replace(n, **cells(n, 0.25))),
+        "cells 0.5 m": replace(base, ndt=replace(n, **cells(n, 0.5))),
+        "cells 1 m": replace(base, ndt=replace(n, **cells(n, 1.0))),
+        "flat cells not stretched": replace(base, ndt=replace(n, flat_stretch=1.0)),
+        "DE alone": replace(base, matching=replace(m, polish=False)),
+        "DE of Table 1 + polish": replace(base, matching=table_1),
+        "DE of Table 1 alone": replace(base, matching=replace(table_1, polish=False)),
+        "polish alone": replace(base, matching=replace(m, search=none)),
+        "no prediction": replace(base, prediction=free),
+        "no de-skew": replace(base, deskew=False),
+        "normal prior in the search": replace(base, matching=replace(m, freedom=1e6)),
+        "no coarse stage of the polish": replace(base, matching=replace(m, coarse_deviation_m=0.0)),
+    }
+    if hasattr(n, "fine_cell_m"):
+        rows["cells 0.5 + 0.125 m"] = replace(base, ndt=replace(n, cell_m=0.5, fine_cell_m=0.125))
+        rows["cells 1 + 0.5 m"] = replace(base, ndt=replace(n, cell_m=1.0, fine_cell_m=0.5))
+    paper = replace(
+        base,
+        reference="previous_scan",
+        matching=replace(table_1, polish=False),
+        ndt=replace(n, flat_stretch=1.0, **cells(n, 0.5)),
+    )
+    rows["the paper's chain"] = paper
+    rows["the paper's chain, bare"] = replace(paper, prediction=free, deskew=False)
+    return rows
+
+
+def cells(ndt, side_m) -> dict[str, float]:
+    """One size of cells, and no other."""
+    return {"cell_m": side_m} | ({"fine_cell_m": 0.0} if hasattr(ndt, "fine_cell_m") else {})
+
+
+def follow(course, config):
+    """Poses (N, 3), how many scans were lost, and CPU time of each (ms)."""
+    odometry = LaserOdometry(config, 1)
+    poses, lost, took_ms = [], 0, []
+    for scan in course.scans:
+        began = time.thread_time()
+        match = odometry.step(scan)
+        took_ms.append(1e3 * (time.thread_time() - began))
+        poses.append(match.motion.odom_t_laser)
+        lost += match.state.value == "lost"
+    return np.array(poses), lost, np.array(took_ms[WARM_UP:])
+
+
+def against_truth(course, poses) -> str:
+    """Largest error of position in % of the way, and in m."""
+    truth = course.truth[: len(poses)]
+    off = between(between(truth[0], truth), between(poses[0], poses))
+    worst = float(np.hypot(off[:, 0], off[:, 1]).max())
+    way_m = float(np.hypot(*np.diff(truth[:, :2], axis=0).T).sum())
+    return f"{100 * worst / way_m:.2f} / {worst:.2f}"
+
+
+def against_relations(course, poses) -> str:
+    """Mean errors of the relations whose scans were followed, m and degrees."""
+    stamps, r = np.array([scan.stamp_ns for scan in course.scans]), course.relations
+    a, b = (nearest_stamps(stamps, s, 1000) for s in (r.stamps_a_ns, r.stamps_b_ns))
+    kept = (a >= 0) & (b >= 0)
+    base = compose(poses, invert(np.tile(course.base_t_laser, (len(poses), 1))))
+    if not kept.any():
+        return "-"
+    errors = relation_errors(base[a[kept]], base[b[kept]], r.a_t_b[kept])
+    return f"{errors.translation_m.mean():.3f} / {errors.rotation_deg.mean():.2f}"
+
+
+def against_wheels(course, poses) -> str:
+    """Rms and greatest difference of the distance moved in a second, m."""
+    second = round(1.0 / course.scans[0].beams.period_s)
+    moved, wheeled = (np.hypot(*over_scans(way, second)[:, :2].T) for way in (poses, course.wheels))
+    off = np.abs(moved - wheeled)
+    return f"{np.sqrt(np.mean(off**2)):.3f} / {off.max():.2f}"
+
+
+def main() -> None:
+    """Print the table, a row as soon as it is measured."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--whole", action="store_true", help="all of Intel and FR079")
+    parser.add_argument("--only", default="", help="rows whose names contain this")
+    parser.add_argument("--scans", type=int, help="stop every course after so many")
+    args = parser.parse_args()
+    courses = [simulated(place) for place in PLACES]
+    names = ("intel", "fr079", "exp1", "exp2")
+    logs = [logged(name, args.scans or (None if args.whole else FIRST.get(name))) for name in names]
+    for course in courses:
+        del course.scans[args.scans or len(course.scans) :]
+    courses = [log for log in logs if log is not None] + courses
+    print(f"| | {' | '.join(course.name for course in courses)} | lost | CPU ms |")
+    print("|---|" + "---|" * (len(courses) + 2))
+    for name, config in variants().items():
+        if args.only not in name:
+            continue
+        cells_, lost, cpu = [], 0, "-"
+        for course in courses:
+            poses, gone, took_ms = follow(course, config)
+            lost += gone
+            if course.relations is not None:
+                cells_.append(against_relations(course, poses))
+            elif course.wheels is not None:
+                cells_.append(against_wheels(course, poses))
+            else:
+                cells_.append(against_truth(course, poses))
+            if course.name == "exp1":
+                cpu = f"{np.percentile(took_ms, 50):.1f} / {np.percentile(took_ms, 99):.1f}"
+        print(f"| {name} | {' | '.join(cells_)} | {lost} | {cpu} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
