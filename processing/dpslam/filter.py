@@ -103,7 +103,7 @@ class DpSlam:
             return self._answer(key_t_laser, lost=True)
         if motion.anew and self.population.keys:
             # What was gathered before is not held together with what comes.
-            self._search = Search(self._predicted(key_t_laser) if self._search is None else None)
+            self._search = Search()
             self._trail.break_off()
         if self._search is not None:
             return self._look(self._search, self._sweeper.take(scan, motion), key_t_laser)
@@ -118,14 +118,14 @@ class DpSlam:
             sweep = NOTHING_SEEN
         closed = self._write(sweep, key_t_laser, self._covariance)
         if self.population.misfits >= MISFITS:
-            self._search = Search(None)
+            self._search = Search()
             self._trail.break_off()
         return self._answer(np.zeros(3), updated=True, resampled=resampled, closed=closed)
 
     def find_itself(self) -> None:
         """Say that the next scan may be anywhere on the map: at the start of a session on a saved one."""
         self._strange = True
-        self._search = Search(None)
+        self._search = Search()
 
     def _look(self, search: Search, sweep: Sweep, key_t_laser: Pose) -> MapStep:
         """Search the map for the laser; where it is found, go on mapping from there."""

@@ -7,6 +7,7 @@ same; where two are as good, both are named, and the question grows with the dri
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,6 +112,33 @@ class Finder:
         self._looked_at = path[-1].copy()
         self.found = self._look(path)
         return self.found
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return what was gathered as arrays; `restore` takes it back."""
+        none, glimpses = np.zeros((0, 3)), self._glimpses
+        return {
+            "points": np.vstack((np.zeros((0, 2)), *(one.points for one in glimpses))),
+            "rays": np.vstack((np.zeros((0, 4)), *(one.rays for one in glimpses))),
+            "counts": np.array([(len(one.points), len(one.rays)) for one in glimpses], int).reshape(-1, 2),
+            "looked_at": none if self._looked_at is None else self._looked_at[None],
+            "before": none if self._before is None else self._before[None],
+            "looks": np.array((self.looks, self.equals)),
+            "places": np.array(self.found.places).reshape(-1, 3),
+            "fits": np.array(self.found.fits, dtype=np.float64),
+        }
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Become the finder whose `state` was taken, on the same map, before it found the one place."""
+        points, rays = state["points"].copy(), state["rays"].copy()
+        ends = np.cumsum(state["counts"], axis=0)
+        self._glimpses = [
+            Glimpse(*parts)
+            for parts in zip(np.split(points, ends[:-1, 0]), np.split(rays, ends[:-1, 1]), strict=True)
+        ][: len(ends)]
+        self._looked_at = next(iter(state["looked_at"].copy()), None)
+        self._before = next(iter(state["before"].copy()), None)
+        self.looks, self.equals = state["looks"].tolist()
+        self.found = Relocation(None, tuple(state["places"].copy()), tuple(state["fits"].tolist()))
 
     def _look(self, path: Pose) -> Relocation:
         first = self._first(path)
