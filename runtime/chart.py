@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 WIDTH, HEIGHT = 960, 150
 _LEFT, _RIGHT, _TOP, _BOTTOM = 52, 8, 26, 22
+_TREE_HEIGHT = 260
 _BINS = 600
 _INKS = ("#d62828", "#2663d6", "#168754")
 
@@ -74,6 +75,36 @@ def cloud(poses: NDArray[np.float64], title: str) -> str:
     body.append(f'<path d="M8 {size - 10}H{end:.1f}" stroke="#464e58" stroke-width="2"/>')
     body.append(f'<text x="{end + 6:.1f}" y="{size - 5}" font-size="13">{bar:g} m</text>')
     return _svg(size, body, size)
+
+
+def tree(ancestors: NDArray[np.int16], title: str) -> str:
+    """Draw who descends from whom, from left to right.
+
+    Args:
+        ancestors: (P, K) of each of P, at each of K times; equal numbers at one time are the same ancestor.
+        title: Over the picture.
+    """
+    count, times = ancestors.shape
+    order = np.lexsort(ancestors.T[::-1])  # relatives beside each other, those of long ago first
+    family = ancestors[order].astype(np.int64)
+    # Who has the same ancestor at a time shares its place: the middle of all descendants.
+    ranks = np.arange(count, dtype=np.float64)
+    places = np.empty((count, times))
+    for time in range(times):
+        _, whose, members = np.unique(family[:, time], return_inverse=True, return_counts=True)
+        places[:, time] = (np.bincount(whose, ranks) / members)[whose]
+    across = _LEFT + (WIDTH - _LEFT - _RIGHT) * np.arange(times) / max(times - 1, 1)
+    down = _TOP + (_TREE_HEIGHT - _TOP - 12) * (places + 0.5) / count
+    body = [f'<text x="{_LEFT}" y="16" font-size="13">{html.escape(title)}</text>']
+    for row in range(count):
+        apart = np.flatnonzero(family[row] != family[row - 1]) if row else np.arange(times)
+        if len(apart):
+            begin = max(int(apart[0]) - 1, 0)
+            line = " ".join(
+                f"{x:.1f},{y:.1f}" for x, y in zip(across[begin:], down[row, begin:], strict=True)
+            )
+            body.append(f'<polyline fill="none" stroke="#8c3caa" stroke-opacity=".7" points="{line}"/>')
+    return _svg(_TREE_HEIGHT, body)
 
 
 def _stretches(x: NDArray[np.float64], value: NDArray[np.float64]) -> list[list[tuple[float, float]]]:

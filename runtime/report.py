@@ -19,6 +19,8 @@ from runtime.picture import png, render
 STATES = ("TRACKING", "DEGENERATE", "LOST")
 _COLOURS = {"TRACKING": "#16875480", "DEGENERATE": "#f58c00", "LOST": "#d62828"}
 _LATE_STRETCHES = 12
+TREE_KEYS = 300
+"""So many key scans of the family tree are drawn at most, the newest ones."""
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1c2430; background: #fff;
@@ -61,8 +63,8 @@ class ReportData:
     """(N,) whether particles were selected."""
     particles: NDArray[np.float64] | None = None
     """(P, 3) at the end."""
-    lineages: NDArray[np.int64] | None = None
-    """(K,) how many of the last particles' ancestors were different ones, from the first key scan on."""
+    ancestors: NDArray[np.int16] | None = None
+    """(P, K) which ancestor each of the last particles had at each key scan; equal numbers are the same."""
     latency_ms: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """p50, p99, max for each hop of a live run."""
     counts: Mapping[str, Any] = field(default_factory=dict)
@@ -187,10 +189,16 @@ def _particles(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
         if run.resampled is not None:
             title += f"; selected {int(np.count_nonzero(run.resampled))} times"
         parts.append(chart.lines(elapsed_s, {"effective particles": run.n_eff}, title, low=0.0))
-    if run.lineages is not None and len(run.lineages) > 1:
-        keys = np.arange(len(run.lineages), dtype=np.float64)
+    if run.ancestors is not None and run.ancestors.shape[1] > 1:
+        many = 1 + (np.diff(np.sort(run.ancestors, axis=0), axis=0) != 0).sum(axis=0)
+        keys = np.arange(len(many), dtype=np.float64)
         title = "different ancestors of the last particles, by key scan: where it is one, the past is settled"
-        parts.append(chart.lines(keys, {"ancestors": run.lineages}, title, low=0.0, unit=""))
+        parts.append(chart.lines(keys, {"ancestors": many}, title, low=0.0, unit=""))
+        alone = np.flatnonzero(many == 1)
+        since = int(alone[-1]) if len(alone) else 0
+        title = f"their family tree since key scan {since}, the last at which all had one ancestor"
+        title = title if len(alone) else "their family tree"
+        parts.append(chart.tree(run.ancestors[:, max(since, len(many) - TREE_KEYS) :], title))
     if run.particles is not None and len(run.particles):
         parts.append(chart.cloud(run.particles, "the last particles, m"))
     return "\n".join(["<h2>Particles</h2>", *parts]) if parts else ""

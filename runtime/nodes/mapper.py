@@ -29,6 +29,7 @@ from runtime.nodes.convert import (
 from runtime.nodes.live_session import LiveSession, Mapper, shown
 from runtime.nodes.map_teller import MapTeller
 from runtime.nodes.matcher import rehearsal
+from runtime.nodes.rows import KEYS_COLUMNS, KEYS_FILE, Rows, write_particles
 from runtime.port import Port, Subscription
 from runtime.results import RunResult, provenance, save
 
@@ -163,6 +164,7 @@ class _Mapper:
         if self._resumed:
             port.count("resumptions")
             port.log.warning("goes on with the map of the process before it, %d scans", len(self._odometry))
+        self._keys = Rows(port.results_dir, KEYS_FILE, KEYS_COLUMNS)
         self._teller = MapTeller(port, config.map_period_s)
         # What the process before it had published went with it; and a saved map is shown at once.
         self._teller.changed = self._resumed or self._session.begins_on_map
@@ -181,6 +183,8 @@ class _Mapper:
         self._odometry.append(motion.odom_t_laser)
         self._stamp_ns = scan.stamp_ns
         self._teller.changed |= step.updated
+        if step.updated:
+            self._keys.add(scan.stamp_ns, f"{step.n_eff:.1f}", int(step.resampled))
         # Nobody shall drive by a pose on the map before the drive is found there.
         if not self._session.still_looking(self._filter, step):
             self._publish(step, motion)
@@ -227,6 +231,8 @@ class _Mapper:
         """Write the results folder of this run, if anybody wants one and there is something in it."""
         if self._port.results_dir is None or not self._odometry:
             return
+        with self._keys:
+            write_particles(self._port.results_dir, self._filter.population)
         self._filter.finish()
         first = self._filter.first_scan if isinstance(self._filter, Returning) else 0
         stamps_ns, trajectory = self._filter.trajectory()

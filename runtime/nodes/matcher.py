@@ -11,6 +11,7 @@ from runtime import messages
 from runtime.checkpoint import Checkpoint
 from runtime.messages import BadMessageError
 from runtime.nodes.convert import motion_to_message, scan_from_message, transform_to_message
+from runtime.nodes.rows import MATCH_COLUMNS, MATCH_FILE, Rows
 from runtime.port import Level, Port, Received
 
 SUBSCRIBES: tuple[str, ...] = ("scan",)
@@ -45,23 +46,34 @@ def run(port: Port, config: Config) -> int:
         port.log.warning("goes on where the process before it was killed")
     odometry, counted = kept or (LaserOdometry(config.odometry, port.seed), _Counted())
     scans = port.subscribe("scan")
-    port.ready()
-    while not port.stopping:
-        received = scans.wait(_WAIT_S)
-        if received is None:
-            continue
-        try:
-            scan = scan_from_message(received.message)
-            match = odometry.step(scan, counted.missed(received, scan))
-        except (BadMessageError, ValueError) as error:
-            port.count("refused_scans")
-            port.report("error", f"scan refused: {error}")
-            continue
-        publish(port, match)
-        # After the answer is out: nobody waits for this.
-        if checkpoint.due(scan.stamp_ns) and not checkpoint.write(scan.stamp_ns, (odometry, counted)):
-            port.count("checkpoints_failed")
+    with Rows(port.results_dir, MATCH_FILE, MATCH_COLUMNS) as rows:
+        port.ready()
+        while not port.stopping:
+            received = scans.wait(_WAIT_S)
+            if received is None:
+                continue
+            try:
+                scan = scan_from_message(received.message)
+                match = odometry.step(scan, counted.missed(received, scan))
+            except (BadMessageError, ValueError) as error:
+                port.count("refused_scans")
+                port.report("error", f"scan refused: {error}")
+                continue
+            publish(port, match)
+            # After the answer is out: nobody waits for this.
+            _note(rows, match)
+            if checkpoint.due(scan.stamp_ns) and not checkpoint.write(scan.stamp_ns, (odometry, counted)):
+                port.count("checkpoints_failed")
     return 0
+
+
+def _note(rows: Rows, match: Match) -> None:
+    variances = np.linalg.eigvalsh(match.motion.covariance[:2, :2])
+    best_mm, worst_mm = 1e3 * np.sqrt(np.maximum(variances, 0.0))
+    if match.motion.lost:
+        best_mm = worst_mm = np.nan
+    quality = (f"{match.score:.3f}", len(match.points_laser), f"{best_mm:.2f}", f"{worst_mm:.2f}")
+    rows.add(match.motion.stamp_ns, match.state.name, *quality)
 
 
 class _Counted:

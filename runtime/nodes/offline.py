@@ -28,6 +28,7 @@ from runtime.nodes.convert import scan_to_message
 from runtime.nodes.log_scans import iterate
 from runtime.nodes.offline_config import OfflineConfig
 from runtime.nodes.offline_report import Diary
+from runtime.nodes.rows import ancestors_of
 from runtime.nodes.saved import Saved, about, grid_map, parts_of
 from runtime.results import RunResult, provenance
 from runtime.session import SessionWriter
@@ -78,6 +79,7 @@ class OfflineRun:
             log: What the scans came from.
             extra: What else the run has to say of itself.
         """
+        ancestors = ancestors_of(self._mapping.population)  # the end makes one of all lineages
         self._slam.finish()
         first, layer = self._first_scan, self._layer
         all_stamps_ns, every_pose = self._slam.trajectory()
@@ -105,6 +107,7 @@ class OfflineRun:
             facts={name: value for name, value in run.items() if name != "notices"},
             notices=run["notices"],
             config=to_yaml(self._config),
+            ancestors=ancestors,
         )
         every = (all_stamps_ns, every_pose)
         return RunResult(

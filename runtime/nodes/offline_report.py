@@ -47,6 +47,7 @@ class Diary:
         facts: Mapping[str, Any],
         notices: Sequence[str],
         config: str,
+        ancestors: NDArray[np.int16],
     ) -> str:
         """Return the page of the run.
 
@@ -58,6 +59,7 @@ class Diary:
             facts: Versions, seed, host, input.
             notices: What the log's reader had to say.
             config: YAML.
+            ancestors: (P, K) of each particle, at each key scan.
         """
         return page(
             ReportData(
@@ -74,6 +76,7 @@ class Diary:
                 n_eff=np.array(self._n_eff),
                 resampled=np.array(self._resampled, dtype=np.bool_),
                 particles=self._particles,
+                ancestors=ancestors,
                 facts=facts,
                 notices=notices,
                 config=config,

@@ -55,7 +55,7 @@ def run(count=200, **changes):
         "n_eff": np.full(count, 70.0),
         "resampled": t % 50 == 0,
         "particles": np.zeros((10, 3)),
-        "lineages": np.arange(1, 20),
+        "ancestors": np.stack([np.minimum(np.arange(19), 4) * (p // 2) for p in range(10)]).astype(np.int16),
         "facts": {"version": "0.1.0"},
         "config": "slam: {}\n",
     }
@@ -103,7 +103,7 @@ def test_a_run_of_hardly_a_scan_is_a_page_too(count):
 
 
 def test_a_run_without_the_rest_is_map_and_states_alone():
-    rest = ("score", "points", "sigma_m", "n_eff", "resampled", "particles", "lineages")
+    rest = ("score", "points", "sigma_m", "n_eff", "resampled", "particles", "ancestors")
     reader = read(page(run(**dict.fromkeys(rest))))
     assert "Map" in reader.text
     assert "Particles" not in reader.text
