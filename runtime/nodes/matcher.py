@@ -70,7 +70,7 @@ def run(port: Port, config: Config) -> int:
 def _note(rows: Rows, match: Match) -> None:
     variances = np.linalg.eigvalsh(match.motion.covariance[:2, :2])
     best_mm, worst_mm = 1e3 * np.sqrt(np.maximum(variances, 0.0))
-    if match.motion.lost:
+    if match.motion.lost or match.motion.anew:
         best_mm = worst_mm = np.nan
     quality = (f"{match.score:.3f}", len(match.points_laser), f"{best_mm:.2f}", f"{worst_mm:.2f}")
     rows.add(match.motion.stamp_ns, match.state.name, *quality)

@@ -32,7 +32,7 @@ class Diary:
         self._points.append(len(match.points_laser))
         variances = np.linalg.eigvalsh(match.motion.covariance[:2, :2])
         sigma_m = np.sqrt(np.maximum(variances, 0.0))
-        self._sigma_m.append(np.full(2, np.nan) if match.motion.lost else sigma_m)
+        self._sigma_m.append(np.full(2, np.nan) if match.motion.lost or match.motion.anew else sigma_m)
         self._n_eff.append(mapping.n_eff)
         self._resampled.append(mapping.resampled)
         self._particles = mapping.particles
