@@ -20,7 +20,6 @@ from processing.dpslam.relocation import (
     FIT_M,
     NOWHERE,
     RAYS,
-    TEMPERING,
     Relocation,
     polished,
     walls_of,
@@ -56,8 +55,9 @@ STRANGE_RAY = -3.0
 """What a ray counts that ends where the map knows nothing."""
 JUDGES = 6
 """Key scans whose rays judge, evenly over the stretch."""
-EQUAL = 5.0
-"""Places whose log-likelihoods, tempered, differ by less fit equally: e^5 is 150 to 1."""
+EQUAL = 0.3
+"""Places whose rays differ by less log-likelihood in the mean fit equally: by so much the maps of two rooms
+alike differ by chance, however many rays are asked."""
 AGREE = np.array((0.3, 0.3, 0.1))
 """Two looks that say the same differ by less; m, m, rad."""
 
@@ -166,16 +166,15 @@ class Finder:
             pose = polished(self._store, self._particle, place.map_t_points, query)
             fit, known = self._judge(pose, [(here[k], glimpses[k].rays) for k in chosen])
             judged.append((fit, known, place.score, pose))
-        return self._decide(judged, path[-1], len(chosen))
+        return self._decide(judged, path[-1])
 
-    def _decide(self, judged: list[tuple[float, float, float, Pose]], here: Pose, judges: int) -> Relocation:
+    def _decide(self, judged: list[tuple[float, float, float, Pose]], here: Pose) -> Relocation:
         """Believe in one place, or name those that are as good."""
         before, self._before = self._before, None
         judged.sort(key=lambda one: -one[0])
         if not judged or judged[0][0] < LEAST_RAY or judged[0][1] < LEAST_KNOWN:
             return NOWHERE
-        weight = RAYS * TEMPERING * np.sqrt(judges)
-        equal = [one for one in judged if (judged[0][0] - one[0]) * weight < EQUAL]
+        equal = [one for one in judged if judged[0][0] - one[0] < EQUAL]
         places, fits = tuple(one[3] for one in equal), tuple(one[2] for one in equal)
         if len(equal) > 1:
             self.equals += 1
