@@ -102,9 +102,10 @@ class Ndt:
         c = self.config
         small, large = np.linalg.eigh(np.cov(points.T, bias=True))[0]
         vectors = np.linalg.eigh(np.cov(points.T, bias=True))[1]
+        flat = max(small, 1e-6) < c.flat_ratio * large
         large = max(large, c.min_deviation_m**2)
         small = max(small, c.min_deviation_m**2, c.min_ratio * large)
-        if small < c.flat_ratio * large:
+        if flat:
             large *= c.flat_stretch
         return points.mean(axis=0), vectors @ np.diag((small, large)) @ vectors.T
 

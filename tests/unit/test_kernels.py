@@ -56,6 +56,9 @@ TWINS = {
         "solve": "unit/test_kernels.py::test_three_equations_are_solved_or_refused_as_by_numpy",
         "polish": "unit/test_kernels.py::test_the_compiled_polish_ends_where_the_plain_one_does",
     },
+    "wall_kernels": {
+        "continue_walls": "unit/test_ndt.py::test_a_wall_goes_on_past_its_seen_end_but_a_heap_does_not",
+    },
     "ndt_kernels": {
         "accumulate": SCORE,
         "fit": SCORE,
@@ -196,14 +199,14 @@ def reference(seed):
             rng.normal((0.6, 0.3), 0.15, (50, 2)),
         )
     )
-    ndt = Ndt(NdtConfig())
+    ndt = Ndt(NdtConfig(continued=0))
     ndt.build(points)
     return ndt, points
 
 
 def test_the_score_of_a_point_is_that_of_four_plain_grids():
     ndt, points = reference(1)
-    plain = naive.Ndt(points, NdtConfig())
+    plain = naive.Ndt(points, NdtConfig(continued=0))
     rng = np.random.default_rng(2)
     for point in points[::10] + rng.normal(0.0, 0.02, (30, 2)):
         u, v = point - ndt.origin[:2]
