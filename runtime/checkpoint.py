@@ -7,8 +7,14 @@ reading takes it away: a state that kills its process at the first step is not m
 
 import os
 import pickle
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+LONGEST_NS = 10_000_000_000
+"""Between two writings, however slow the disk."""
+_SHARE = 20
 
 
 class Checkpoint:
@@ -16,24 +22,32 @@ class Checkpoint:
 
     Args:
         path: Of the file; relative where there is no run, and then nothing is kept.
-        every_ns: Time between two writings, by the stamps given to `due`.
+        every_ns: Time between two writings at least, by the stamps given to `due`; longer where writing
+            takes long, so that a slow disk never takes more than a twentieth of the time, up to LONGEST_NS.
         identity: What must be equal for a state to be taken back, such as the configuration.
+        now_ns: The present; given by tests.
     """
 
-    def __init__(self, path: Path, every_ns: int, identity: Any) -> None:
+    def __init__(
+        self, path: Path, every_ns: int, identity: Any, now_ns: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        self._now_ns = now_ns
         self._path, self._every_ns, self._identity = path, every_ns, identity
         self._written_ns: int | None = None
+        self._took_ns = 0
 
     def due(self, stamp_ns: int) -> bool:
         """Whether it is time to write again; a stamp that went backwards counts as time."""
         if not self._path.is_absolute():
             return False
         last = self._written_ns
-        return last is None or not 0 <= stamp_ns - last < self._every_ns
+        pause_ns = max(self._every_ns, min(_SHARE * self._took_ns, LONGEST_NS))
+        return last is None or not 0 <= stamp_ns - last < pause_ns
 
     def write(self, stamp_ns: int, state: Any) -> bool:
         """Replace the state in one step; False where the disk refuses, and then the last one stays."""
         self._written_ns = stamp_ns
+        began_ns = self._now_ns()
         fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
         try:
             with open(fresh, "wb") as file:
@@ -42,6 +56,8 @@ class Checkpoint:
         except OSError:
             fresh.unlink(missing_ok=True)
             return False
+        finally:
+            self._took_ns = self._now_ns() - began_ns
         return True
 
     def read(self) -> Any | None:

@@ -135,7 +135,7 @@ def _lines(vitals: Mapping[str, Vital], supervisor: Vital | None) -> list[Proces
                 restarts=int(supervisor.number(f"child.{name}.restarts")) if supervisor else 0,
                 cpu_percent=vital.number("cpu_percent") if vital else 0.0,
                 rss_mb=vital.number("rss_mb") if vital else 0.0,
-                lost=_sum(values, (".overwritten", ".missed")),
+                lost=_sum(values, (".overwritten", ".missed", "scans_skipped")),
                 deadline_misses=_sum(values, (".deadline_misses",)),
             )
         )

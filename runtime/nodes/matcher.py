@@ -13,11 +13,14 @@ from runtime.messages import BadMessageError
 from runtime.nodes.convert import motion_to_message, scan_from_message, transform_to_message
 from runtime.nodes.rows import MATCH_COLUMNS, MATCH_FILE, Rows
 from runtime.port import Level, Port, Received
+from runtime.topics import topic
 
 SUBSCRIBES: tuple[str, ...] = ("scan",)
 PUBLISHES: tuple[str, ...] = ("odom", "match_points", "tf")
 
 _WAIT_S = 0.1
+KEEP_SCANS = 3
+"""After a stall of the machine scans come in a burst; each is worked in as long as that is quick."""
 MISSED_MAX = 50
 """After five seconds without a scan the last velocity tells nothing more."""
 CHECKPOINT_NS = 500_000_000
@@ -74,6 +77,25 @@ def _note(rows: Rows, match: Match) -> None:
         best_mm = worst_mm = np.nan
     quality = (f"{match.score:.3f}", len(match.points_laser), f"{best_mm:.2f}", f"{worst_mm:.2f}")
     rows.add(match.motion.stamp_ns, match.state.name, *quality)
+
+
+class Scans:
+    """The scans in their order; but the newest alone where the matcher does not keep up with the laser."""
+
+    def __init__(self, port: Port) -> None:
+        self._port, self._scans = port, port.subscribe("scan", keep=KEEP_SCANS)
+        self._given_ns: int | None = None
+
+    def next(self) -> Received | None:
+        """Return the next scan; None if there is none within a tenth of a second."""
+        now_ns = self._port.clock.now_ns()
+        slow = self._given_ns is not None and now_ns - self._given_ns > topic("scan").period_ns
+        waiting = self._scans.drain() if slow else []
+        if waiting:
+            self._port.count("scans_skipped", len(waiting) - 1)
+        received = waiting[-1] if waiting else self._scans.wait(_WAIT_S)
+        self._given_ns = None if received is None else self._port.clock.now_ns()
+        return received
 
 
 class _Counted:

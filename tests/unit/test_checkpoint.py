@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.checkpoint import Checkpoint
+from runtime.checkpoint import LONGEST_NS, Checkpoint
 
 EVERY_NS = 500
 
@@ -54,7 +54,7 @@ def test_a_disk_that_refuses_is_told_and_nothing_is_left(tmp_path):
 
 
 def test_it_is_due_at_first_and_then_by_the_stamps(tmp_path):
-    checkpoint = Checkpoint(tmp_path / "a", EVERY_NS, "config")
+    checkpoint = Checkpoint(tmp_path / "a", EVERY_NS, "config", lambda: 0)
     assert checkpoint.due(1000)
     checkpoint.write(1000, "state")
     assert [checkpoint.due(stamp) for stamp in (1000, 1499, 1500, 999)] == [False, False, True, True]
@@ -65,3 +65,12 @@ def test_without_a_run_nothing_is_kept(tmp_path, monkeypatch):
     checkpoint = Checkpoint(Path("a"), EVERY_NS, "config")
     assert not checkpoint.due(1)
     assert checkpoint.read() is None
+
+
+def test_a_slow_disk_gets_a_twentieth_of_the_time_and_no_state_is_older_than_ten_seconds(tmp_path):
+    clock = iter((0, 100, 1000, 1000 + 10**12))
+    checkpoint = Checkpoint(tmp_path / "a", EVERY_NS, "config", lambda: next(clock))
+    checkpoint.write(0, "state")
+    assert [checkpoint.due(stamp) for stamp in (1999, 2000)] == [False, True]
+    checkpoint.write(2000, "state")
+    assert [checkpoint.due(2000 + stamp) for stamp in (LONGEST_NS - 1, LONGEST_NS)] == [False, True]

@@ -1,0 +1,86 @@
+"""Which scan the matcher takes next: a burst in order, and the newest alone when it is too slow."""
+
+import pytest
+
+from runtime import messages
+from runtime.bus_memory import MemoryBus
+from runtime.clock import ManualClock
+from runtime.node import BusPort
+from runtime.nodes.matcher import KEEP_SCANS, Scans
+from runtime.topics import topic
+
+PERIOD_NS = topic("scan").period_ns
+
+
+@pytest.fixture
+def bus():
+    with MemoryBus() as first:
+        yield first
+
+
+@pytest.fixture
+def port(bus):
+    with BusPort("matcher", bus.join, subscribes=("scan",), clock=ManualClock(5)) as made:
+        yield made
+
+
+@pytest.fixture
+def laser(bus):
+    with BusPort("laser", bus.join, publishes=("scan",)) as made:
+        yield made
+
+
+def publish(laser, *numbers):
+    import numpy as np
+
+    for number in numbers:
+        laser.publish(
+            "scan",
+            messages.LaserScan(
+                messages.header(number, "laser"),
+                *(0.0, 1.0, 0.1, 0.0, 0.1, 0.0, 5.0),
+                np.zeros(11, np.float32),
+                np.zeros(0, np.float32),
+            ),
+        )
+
+
+def taken(scans):
+    received = scans.next()
+    return None if received is None else received.message.header.stamp.nanosec
+
+
+def test_scans_that_come_in_a_burst_are_all_taken_in_order(port, laser):
+    scans = Scans(port)
+    publish(laser, 1)
+    assert taken(scans) == 1
+    publish(laser, 2, 3, 4)
+    assert [taken(scans) for _ in range(4)] == [2, 3, 4, None]
+    assert "scans_skipped" not in port.counters()
+
+
+def test_who_takes_longer_than_a_period_gets_the_newest_and_the_others_are_counted(port, laser):
+    scans = Scans(port)
+    publish(laser, 1)
+    assert taken(scans) == 1
+    publish(laser, 2, 3)
+    port.clock.advance(PERIOD_NS + 1)
+    assert taken(scans) == 3
+    assert port.counters()["scans_skipped"] == 1
+    publish(laser, 4, 5)
+    assert [taken(scans), taken(scans)] == [4, 5]  # quick again
+
+
+def test_the_time_without_any_scan_is_not_the_matcher_s(port, laser):
+    scans = Scans(port)
+    assert taken(scans) is None
+    port.clock.advance(10 * PERIOD_NS)
+    publish(laser, 1, 2)
+    assert [taken(scans), taken(scans)] == [1, 2]
+
+
+def test_never_more_than_a_few_wait(port, laser):
+    scans = Scans(port)
+    publish(laser, *range(1, 20))
+    assert taken(scans) == 20 - KEEP_SCANS
+    assert port.counters()["scan.overwritten"] == 19 - KEEP_SCANS
