@@ -184,7 +184,7 @@ class Screen:
             rrb.TimeSeriesView(origin=origin, name=name, plot_legend=legend, time_ranges=[last])
             for origin, name in (
                 ("/latency", "Age, ms: pose red, map grey"),
-                ("/rate", "Hz: scans blue, matches green, poses red"),
+                ("/rate", "Hz: scan blue, match green, pose red"),
                 ("/base", "Battery, %"),
             )
         ]
@@ -198,14 +198,14 @@ class Screen:
             rrb.StateTimelineView(origin="/state", contents=lanes, name="States"),
             *plots,
             rrb.TextLogView(origin="/log", name="What happened", columns=columns),
-            row_shares=[7, 4, 3, 3, 3, 3],
+            row_shares=[7, 3, 3, 3, 2, 5],
         )
         grey = [BACKGROUND] * 3
         view = rrb.Spatial3DView(
             origin="/world", name=_LEGEND, background=grey, line_grid=False, eye_controls=eye
         )
         return rrb.Blueprint(
-            rrb.Horizontal(side, view, column_shares=[1, 3]),
+            rrb.Horizontal(side, view, column_shares=[2, 5]),
             rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
             rrb.SelectionPanel(state="hidden"),
             rrb.BlueprintPanel(state="hidden"),
