@@ -24,8 +24,8 @@ BUILDINGS: dict[str, Callable[[], world.Building]] = {
     "hallway": world.hallway_with_doors,
     "doorway": world.doorway,
     "pillar hall": world.pillar_hall,
-    "loop": lambda: world.loop_corridor(60.0),
-    "square": lambda: world.square_of_corridors(20.0),
+    "loop": lambda: world.loop_corridor(32.0),
+    "square": lambda: world.square_of_corridors(8.0),
     "floor": world.demo_building,
 }
 STRETCH_M = 1.0
