@@ -244,7 +244,7 @@ def live(steps, tmp_path, config):
         *inputs, run_dir=tmp_path / "run", results_dir=tmp_path / "results" / "mapper", clock=Clock()
     )
     assert mapper.run(port, config) == 0
-    return port, tmp_path / "results"
+    return port, results
 
 
 def test_a_live_run_leaves_a_session_and_another_is_followed_on_it(first, second, tmp_path):
