@@ -17,7 +17,7 @@ from processing.motion import Motion, anew_covariance, lost_covariance
 from processing.ndt import Ndt, NdtConfig
 from processing.observability import view, widened
 from processing.prediction import ConstantVelocity, PredictionConfig, Prior, exponential, turned
-from processing.recovery import KeyScan
+from processing.recovery import KeyScan, shaded
 from processing.saliency import Resampler, ResamplingConfig
 from processing.scan import Beams, Scan
 from processing.se2 import between, compose, snap_yaw, transform
@@ -41,6 +41,8 @@ class OdometryConfig:
 
     reference: Literal["local_map", "key_scan", "previous_scan"] = "local_map"
     """What a scan is matched against; the paper's is the previous scan."""
+    reference_points: Literal["all", "resampled"] = "all"
+    """What of a scan goes into the reference: every point, or the means that are matched."""
     key_scans: int = 20
     """Number of the newest key scans in the local map."""
     key_distance_m: float = 0.2
@@ -57,6 +59,8 @@ class OdometryConfig:
             raise ValueError(
                 f"reference = {self.reference!r}, must be 'local_map', 'key_scan' or 'previous_scan'"
             )
+        if self.reference_points not in ("all", "resampled"):
+            raise ValueError(f"reference_points = {self.reference_points!r}, must be 'all' or 'resampled'")
         if not 1 <= self.key_scans <= 10_000:
             raise ValueError(f"key_scans = {self.key_scans}, must be in [1, 10000]")
         if not 0.0 < self.key_distance_m <= 10.0:
@@ -112,7 +116,8 @@ class LaserOdometry:
         ends = resampler.points(scan, twist, middle_s)
         points = resampler.means()
         matching, fits, unseen = None, False, np.zeros((0, 2))
-        if prior is not None and len(points) > 0:
+        sees = len(points) > 0 and not shaded(points)
+        if prior is not None and sees:
             matching, fits = self._locate(points, prior, watch)
         if prior is not None and not fits:
             watch.miss(self._filter, missed)
@@ -123,7 +128,7 @@ class LaserOdometry:
             self._filter.correct(pose, turned(seen.information, -pose[2]))
             unseen = _in_laser(seen.unseen, pose[2])
             self._filter.bound(unseen)
-        anew = len(points) > 0 and (prior is None or watch.hopeless)
+        anew = sees and (prior is None or watch.hopeless)
         if anew:
             watch.begin()
             self._keys.clear()
@@ -132,7 +137,7 @@ class LaserOdometry:
             watch.remember(transform(self._filter.pose, ends))
         key = anew or (fits and self._is_key())
         if key:
-            self._remember(points)
+            self._remember(ends if self.config.reference_points == "all" else points)
         return Match(
             motion=self._motion(scan, middle_s, unseen, fits, anew),
             state=Tracking.LOST if watch.lost or not self._keys else _state(unseen),

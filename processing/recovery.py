@@ -17,7 +17,7 @@ from processing.ndt import Ndt, Points
 from processing.observability import view
 from processing.prediction import ConstantVelocity, Prior, turned
 from processing.se2 import Pose, between
-from processing.sightlines import plausible
+from processing.sightlines import Sight, judge
 
 CELL_M = 0.1
 FIT_M = 0.12
@@ -26,14 +26,16 @@ SIGHT_M = 10.0
 """Points farther away are left out: the step of the search in rotation falls with the farthest point."""
 LEAST_FIT = 0.6
 """Share of the points that must find their wall."""
-AGAIN = 0.7
+AGAIN = 0.75
 """Share of the usual score at which the laser is found again."""
 TRIAL_S = 1.0
 """For so long a place is on trial:"""
-PASSED = 0.9
+PASSED = 0.85
 """the scans after the first must have this share of the usual score in the mean,"""
 FAILED = 0.6
 """and none may have less than this."""
+LEAST_KNOWN = 0.6
+"""Points that lie where no scan has looked before can not fit; so many must lie where one has."""
 ALIKE = 0.8
 """A second place with this share of the best one's score makes the first one nobody's."""
 APART_M = 0.5
@@ -48,7 +50,7 @@ REACH_RAD = 1.3
 SPEED_M_S = 1.5
 TURN_RAD_S = 1.0
 """and by how much farther with every second."""
-MOMENT_S = 2.0
+MOMENT_S = 3.0
 """A laser covered for less is taken up where it was when the scan fits there as well as anywhere:"""
 NEARLY = 0.95
 """with this share of the best score."""
@@ -162,13 +164,11 @@ class Recovery:
         points_odom = np.concatenate([key.points_odom for key in keys])
         found = [near, *self._places(points, near.pose, matcher, reference, points_odom)]
         best = max(found, key=lambda matching: matching.score)
-        if best.score < AGAIN * usual:
+        sight = sight_of(points, best.pose, keys)
+        least = AGAIN * usual * max(sight.known, LEAST_KNOWN)
+        if best.score < least or not sight.possible:
             return None
-        if not plausible(
-            points, best.pose, points_odom, [(key.odom_t_laser, key.points_odom) for key in keys]
-        ):
-            return None
-        alike = near.score >= AGAIN * usual and near.score >= NEARLY * best.score
+        alike = near.score >= least and near.score >= NEARLY * best.score
         if self.since_s < MOMENT_S and self._seeing_s == 0.0 and alike:
             return near
         if len(view(best.information).unseen):
@@ -200,11 +200,23 @@ class Recovery:
         ]
 
 
+def sight_of(points: Points, odom_t_laser: Pose, keys: Sequence[KeyScan]) -> Sight:
+    """Ask the local map whether a scan (N, 2), laser frame, can have been taken at a place."""
+    points_odom = np.concatenate([key.points_odom for key in keys])
+    return judge(points, odom_t_laser, points_odom, [(key.odom_t_laser, key.points_odom) for key in keys])
+
+
 def covered(points: Points) -> bool:
     """Whether points (N, 2), laser frame, are too few or too near to be a view of anything."""
     if len(points) < LEAST_POINTS:
         return True
-    return bool(np.quantile(np.hypot(points[:, 0], points[:, 1]), 0.8) < COVER_M)
+    return shaded(points)
+
+
+def shaded(points: Points) -> bool:
+    """Whether nearly all points (N, 2), laser frame, N >= 1, are those of a hand before the laser."""
+    near = points[:, 0] ** 2 + points[:, 1] ** 2 < COVER_M**2
+    return bool(np.count_nonzero(near) > 0.8 * len(points))
 
 
 def _apart(one: Pose, other: Pose) -> bool:

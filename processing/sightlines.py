@@ -5,6 +5,7 @@ its points lie where an earlier scan has looked through.
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +25,20 @@ BEFORE = 0.1
 """Share of the points that may lie where an earlier scan looked through."""
 
 
-def plausible(
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What earlier scans say of a scan at a place."""
+
+    possible: bool
+    """Whether it can have been seen from there."""
+    known: float
+    """Share of its points that lie where the earlier scans have looked."""
+
+
+def judge(
     points: Points, odom_t_laser: Pose, points_odom: Points, earlier: Iterable[tuple[Pose, Points]]
-) -> bool:
-    """Whether a scan can have been taken at a place.
+) -> Sight:
+    """Ask the local map whether a scan can have been taken at a place.
 
     Args:
         points: (N, 2) of the scan, laser frame, N >= 1.
@@ -35,17 +46,29 @@ def plausible(
         points_odom: (M, 2) all points of the map.
         earlier: Pose, and points (K, 2) in the odometry's frame, of each earlier scan.
     """
-    wall_m = _nearest(transform(invert(odom_t_laser), points_odom))
-    if np.mean(_behind(points, wall_m)) > THROUGH:
-        return False
-    hidden = []
+    wall_m = _nearest(transform(invert(odom_t_laser), points_odom))[_sectors(points)]
+    distance = np.hypot(points[:, 0], points[:, 1])
+    walled = max(int(np.count_nonzero(np.isfinite(wall_m))), 1)
+    through = int(np.count_nonzero(distance > _longer(wall_m))) / walled
+    known = np.zeros(len(points), np.bool_)
+    before, looks = 0, 0
     for odom_t_earlier, seen_odom in earlier:
         seen_m = _nearest(transform(invert(odom_t_earlier), seen_odom), 2)
-        hidden.append(_before(transform(between(odom_t_earlier, odom_t_laser), points), seen_m, 2))
-    return not hidden or float(np.mean(np.concatenate(hidden))) <= BEFORE
+        placed = transform(between(odom_t_earlier, odom_t_laser), points)
+        end_m, away_m = seen_m[_sectors(placed, 2)], np.hypot(placed[:, 0], placed[:, 1])
+        looked = np.isfinite(end_m)
+        known |= looked & (away_m <= _longer(end_m))
+        before += int(np.count_nonzero(_longer(away_m[looked]) < end_m[looked]))
+        looks += int(np.count_nonzero(looked))
+    return Sight(through <= THROUGH and before <= BEFORE * max(looks, 1), float(known.mean()))
 
 
-def _sectors(points: Points, width: int) -> NDArray[np.int64]:
+def _longer(distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return from where on something lies behind what is so far away."""
+    return distance_m + (SLACK_M + SLACK * distance_m)
+
+
+def _sectors(points: Points, width: int = 1) -> NDArray[np.int64]:
     bearing = np.arctan2(points[:, 1], points[:, 0])
     sector = np.floor(bearing / (width * SECTOR_RAD)).astype(np.int64)
     return np.asarray(sector % round(2 * np.pi / (width * SECTOR_RAD)))
@@ -58,20 +81,3 @@ def _nearest(points: Points, width: int = 1) -> NDArray[np.float64]:
     near = distance < SIGHT_M
     np.minimum.at(nearest, _sectors(points[near], width), distance[near])
     return nearest
-
-
-def _behind(points: Points, wall_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell of each point whose sector has a wall whether it lies behind the nearest one."""
-    wall = wall_m[_sectors(points, 1)]
-    known = np.isfinite(wall)
-    distance = np.hypot(points[known, 0], points[known, 1])
-    behind = distance > wall[known] + SLACK_M + SLACK * wall[known]
-    return behind if len(behind) else np.zeros(1, np.bool_)
-
-
-def _before(points: Points, seen_m: NDArray[np.float64], width: int) -> NDArray[np.bool_]:
-    """Tell of each point whose sector an earlier scan looked into whether that scan looked past it."""
-    seen = seen_m[_sectors(points, width)]
-    known = np.isfinite(seen)
-    distance = np.hypot(points[known, 0], points[known, 1])
-    return np.asarray(distance < seen[known] - SLACK_M - SLACK * seen[known])

@@ -14,7 +14,7 @@ import numpy as np
 from processing.matching import Matcher, Matching
 from processing.ndt import Ndt, NdtConfig, Points
 from processing.prediction import ConstantVelocity, Prior
-from processing.recovery import KeyScan, Recovery
+from processing.recovery import LEAST_KNOWN, KeyScan, Recovery, sight_of
 
 FIT = 0.5
 """Share of the usual score from which a scan fits.
@@ -137,7 +137,8 @@ class Watch:
         """
         recovery = self._recovery = self._recovery or Recovery(filter_, self._duration_s)
         if recovery.trying:
-            passed = recovery.judge(near.score / self._usual, self._duration_s)
+            known = max(sight_of(points, near.pose, keys).known, LEAST_KNOWN)
+            passed = recovery.judge(near.score / (self._usual * known), self._duration_s)
             if passed:
                 self._good(near.score)
             if passed is not False:

@@ -1,0 +1,168 @@
+"""The watch over the scores: what is usual, what does not fit, and when the track counts as lost."""
+
+import numpy as np
+import pytest
+
+from processing.matching import Matcher, Matching, MatchingConfig
+from processing.motion import Motion, anew_covariance, following, lost_covariance
+from processing.ndt import Ndt, NdtConfig
+from processing.prediction import ConstantVelocity, PredictionConfig, Prior
+from processing.recovery import Recovery, covered
+from processing.se2 import invert, transform
+from processing.sightlines import judge
+from processing.tracking import FIT, SURE, Watch
+
+URG_S, SICK_S, FAST_S = 0.0999, 0.1975, 1.0 / 75.0
+
+
+def matching(score):
+    return Matching(np.zeros(3), score, -np.eye(3), 1e4 * np.eye(3), 1, 1, 1)
+
+
+def watch_of(period_s, usual=0.6):
+    watch = Watch(period_s, NdtConfig())
+    watch.accept(matching(usual))
+    return watch
+
+
+@pytest.mark.parametrize("period_s", [URG_S, SICK_S, FAST_S])
+def test_the_track_is_lost_within_half_a_second_but_not_within_a_quarter(period_s):
+    watch, filter_ = watch_of(period_s), ConstantVelocity(PredictionConfig())
+    lost_s, time_s = None, 0.0
+    for _ in range(100):
+        # The laser was taken away just after the last good scan.
+        watch.expect(filter_, period_s)
+        time_s += period_s
+        watch.miss(filter_, 0)
+        if watch.lost:
+            lost_s = time_s
+            break
+    assert lost_s is not None
+    assert 0.25 < lost_s <= 0.5
+
+
+def test_scans_that_never_came_count_as_time_without_a_good_one():
+    watch, filter_ = watch_of(URG_S), ConstantVelocity(PredictionConfig())
+    watch.expect(filter_, 4 * URG_S)
+    watch.miss(filter_, missed=3)
+    assert watch.lost
+    assert watch.since_s == pytest.approx(4 * URG_S)
+
+
+@pytest.mark.parametrize("usual", [0.3, 0.6, 0.9])
+def test_a_score_is_judged_by_what_is_usual_in_this_scene(usual):
+    watch = watch_of(URG_S, usual)
+    assert watch.accept(matching(1.01 * FIT * usual))
+    assert not watch.accept(matching(0.98 * FIT * usual))
+
+
+def test_what_is_usual_follows_the_scene_in_seconds_and_a_bad_scan_does_not_move_it():
+    watch = watch_of(URG_S, 0.8)
+    for _ in range(round(20.0 / URG_S)):
+        assert watch.accept(matching(0.45))
+    assert watch.accept(matching(0.25))
+    other = watch_of(URG_S, 0.8)
+    for _ in range(50):
+        assert not other.accept(matching(0.25))
+
+
+def test_after_a_bad_scan_the_next_must_fit_better():
+    watch, filter_ = watch_of(URG_S), ConstantVelocity(PredictionConfig())
+    middling = matching(0.5 * (FIT + SURE) * 0.6)
+    assert watch.accept(middling)
+    watch.expect(filter_, URG_S)
+    watch.miss(filter_, 0)
+    assert not watch.accept(middling)
+    assert watch.accept(matching(0.6))
+    assert watch.accept(middling)
+
+
+def test_the_papers_chain_takes_every_match():
+    watch = watch_of(URG_S)
+    assert watch.accept(matching(0.01), anyhow=True)
+
+
+def corner(count=150):
+    along = np.linspace(0.0, 3.0, count)
+    return np.vstack(
+        (np.column_stack((along, np.full(count, 2.0))), np.column_stack((np.full(count, 3.0), 2 - along)))
+    )
+
+
+def test_a_scan_that_fits_the_last_one_is_followed_where_the_local_map_is_poor():
+    watch, matcher = watch_of(URG_S), Matcher(MatchingConfig(), 1)
+    watch.remember(corner())
+    elsewhere = Ndt(NdtConfig())
+    elsewhere.build(corner() + 20.0)
+    truth = np.array((0.04, -0.03, 0.02))
+    prior = Prior(np.zeros(3), np.diag((100.0, 100.0, 400.0)))
+    seen = np.ascontiguousarray(transform(invert(truth), corner())[::3])
+    found = watch.follow(seen, prior, matcher, elsewhere)
+    assert found is not None
+    assert np.abs(found.pose - truth).max() < 0.01
+    assert watch.follow(seen + 5.0, prior, matcher, elsewhere) is None
+
+
+def test_a_lost_laser_is_known_the_worse_the_longer_nobody_saw_it():
+    filter_ = ConstantVelocity(PredictionConfig())
+    filter_.advance(0.1)
+    recovery = Recovery(filter_, 0.1)
+    spread = []
+    for since_s in (0.5, 1.0, 2.0):
+        recovery.since_s = since_s
+        prior = recovery.stand(filter_)
+        spread.append(np.sqrt(np.diag(np.linalg.inv(prior.information))))
+        assert filter_.twist.tolist() == [0.0, 0.0, 0.0]
+    assert (np.diff(spread, axis=0) > 0.0).all()
+    assert spread[-1][0] == pytest.approx(2.0 * PredictionConfig().speed_m_s, rel=0.1)
+
+
+def test_a_hand_before_the_laser_and_a_few_points_are_no_view():
+    ring = 0.08 * np.column_stack((np.cos(np.arange(100.0)), np.sin(np.arange(100.0))))
+    assert covered(ring)
+    assert covered(corner()[:10])
+    assert not covered(corner())
+
+
+def ring(radius_m, count=300):
+    bearing = np.linspace(-2.0, 2.0, count)
+    return radius_m * np.column_stack((np.cos(bearing), np.sin(bearing)))
+
+
+def test_a_place_behind_a_wall_is_none():
+    here, wall = np.zeros(3), ring(2.0)
+    assert judge(ring(2.0, 150), here, wall, [(here, wall)]).possible
+    assert not judge(ring(4.0, 150), here, wall, [(here, wall)]).possible
+
+
+def test_a_place_whose_walls_stand_where_an_earlier_scan_looked_through_is_none():
+    here, far = np.zeros(3), ring(4.0)
+    # The walls of the map do not tell, as nothing of them is hidden; the earlier rays do.
+    assert not judge(ring(2.0, 150), here, far, [(here, far)]).possible
+    assert judge(ring(2.0, 150), here, far, []).possible
+
+
+def test_what_no_scan_has_looked_at_is_not_known():
+    here, wall = np.zeros(3), ring(2.0)
+    turned = np.array((0.0, 0.0, 1.0))
+    sight = judge(ring(2.0, 150), turned, wall, [(here, wall)])
+    assert sight.possible
+    assert sight.known == pytest.approx(0.75, abs=0.02)
+
+
+def motion(x, covariance):
+    return Motion(7, np.array((x, 0.0, 0.0)), covariance, np.zeros(3))
+
+
+def test_a_lost_motion_left_out_takes_nothing_away_and_a_new_beginning_stays_one():
+    known = np.diag((1e-4, 1e-4, 1e-5))
+    lost, anew = motion(1.0, lost_covariance()), motion(1.0, anew_covariance())
+    assert lost.lost
+    assert not lost.anew
+    assert anew.anew
+    assert not anew.lost
+    np.testing.assert_array_equal(following(lost, motion(2.0, known)).covariance, known)
+    assert following(motion(0.0, known), anew).anew
+    after = following(anew, motion(2.0, known))
+    assert after.anew
+    np.testing.assert_array_equal(after.odom_t_laser, (2.0, 0.0, 0.0))
