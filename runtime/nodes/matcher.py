@@ -48,11 +48,11 @@ def run(port: Port, config: Config) -> int:
         port.count("resumptions")
         port.log.warning("goes on where the process before it was killed")
     odometry, counted = kept or (LaserOdometry(config.odometry, port.seed), _Counted())
-    scans = port.subscribe("scan")
+    scans = Scans(port)
     with Rows(port.results_dir, MATCH_FILE, MATCH_COLUMNS) as rows:
         port.ready()
         while not port.stopping:
-            received = scans.wait(_WAIT_S)
+            received = scans.next()
             if received is None:
                 continue
             try:
@@ -85,12 +85,15 @@ class Scans:
     def __init__(self, port: Port) -> None:
         self._port, self._scans = port, port.subscribe("scan", keep=KEEP_SCANS)
         self._given_ns: int | None = None
+        self._slow = 0  # times in a row that the work on a scan took longer than the laser for the next
 
     def next(self) -> Received | None:
         """Return the next scan; None if there is none within a tenth of a second."""
-        now_ns = self._port.clock.now_ns()
-        slow = self._given_ns is not None and now_ns - self._given_ns > topic("scan").period_ns
-        waiting = self._scans.drain() if slow else []
+        if self._given_ns is not None:
+            took_ns = self._port.clock.now_ns() - self._given_ns
+            self._slow = self._slow + 1 if took_ns > topic("scan").period_ns else 0
+        # Once is a stall of the machine, and what came meanwhile is worked in quickly.
+        waiting = self._scans.drain() if self._slow > 1 else []
         if waiting:
             self._port.count("scans_skipped", len(waiting) - 1)
         received = waiting[-1] if waiting else self._scans.wait(_WAIT_S)
