@@ -108,8 +108,7 @@ def tables(course, times) -> Iterator[tuple[str, list[tuple[str, ...]]]]:
 
 def cells(ndt, side_m) -> NdtConfig:
     """One size of cells, and no other."""
-    other = {"fine_cell_m": 0.0} if hasattr(ndt, "fine_cell_m") else {}
-    return replace(ndt, cell_m=side_m, **other)
+    return replace(ndt, cell_m=side_m, fine_cell_m=0.0)
 
 
 def main() -> None:
