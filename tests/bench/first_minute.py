@@ -57,6 +57,12 @@ def cpu_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
+def readme_command(checkout: Path) -> str:
+    """Return the README's first command: environment, installation, demo."""
+    lines = (checkout / "README.md").read_text().splitlines()
+    return next(line for line in lines if line.startswith("python3.11 -m venv"))
+
+
 def demo(checkout: Path, folder: Path) -> dict[str, float]:
     """Start the demo; return seconds until all processes run, the first map, and one that has grown."""
     began = time.monotonic()
@@ -90,8 +96,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--python", default="python3.11")
-    args = parser.parse_args()
+    parser.parse_args()
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="hallway-first-minute-") as name:
         folder = Path(name)
@@ -99,9 +104,8 @@ def main() -> int:
         checkout = folder / "hallway"
         subprocess.run(["git", "clone", "-q", ROOT, checkout], check=True)
         cloned = time.monotonic()
-        venv = checkout / ".venv"
-        subprocess.run([args.python, "-m", "venv", venv], check=True)
-        subprocess.run([venv / "bin" / "pip", "install", "-q", "."], cwd=checkout, check=True)
+        *install, _ = readme_command(checkout).split(" && ")
+        subprocess.run(["bash", "-c", " && ".join(install)], cwd=checkout, check=True)
         installed = time.monotonic()
         install_cpu_s = cpu_s()
         first = demo(checkout, folder / "first")
