@@ -78,7 +78,7 @@ class Finder:
     def __init__(self, store: TileStore, particle: int) -> None:
         self._store, self._particle = store, particle
         walls = walls_of(store, particle)
-        self._field = None
+        self._field: wide_match.Field | None = None
         if len(walls) >= LEAST_POINTS:
             self._field = wide_match.build_field(walls, CELL_FIT_M, FIT_M, 0.5)
             low, high = walls.min(axis=0), walls.max(axis=0)
@@ -94,6 +94,15 @@ class Finder:
         """How often more than one place fitted."""
         self.found: Relocation = NOWHERE
         """What the last look found; a single place only when it was believed."""
+
+    def expect(self, map_t_laser: Pose, here: Pose) -> None:
+        """Take somebody else's guess for a look: one that says the same is believed.
+
+        Args:
+            map_t_laser: (3,) the guess, on the map.
+            here: (3,) the same place in the drive's own frame.
+        """
+        self._before = se2.compose(map_t_laser, se2.invert(here))
 
     def take(self, path: Pose, sweep: Sweep) -> Relocation:
         """Take the next key scan and look, if the laser has gone on since the last look.
@@ -139,6 +148,10 @@ class Finder:
         self._before = next(iter(state["before"].copy()), None)
         self.looks, self.equals = state["looks"].tolist()
         self.found = Relocation(None, tuple(state["places"].copy()), tuple(state["fits"].tolist()))
+
+    def forget(self) -> None:
+        """Let go of the map; nothing is looked for any more."""
+        self._store, self._field, self._glimpses = TileStore(1, 1), None, []
 
     def _look(self, path: Pose) -> Relocation:
         first = self._first(path)

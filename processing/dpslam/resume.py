@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.filter import DpSlam, MapStep
 from processing.dpslam.finding import Finder
+from processing.dpslam.joining import joined
 from processing.dpslam.layer import Layer
-from processing.dpslam.past import Past, joined, past_of, rebuild
+from processing.dpslam.past import Past, past_of
 from processing.dpslam.population import Population
+from processing.dpslam.redrawing import rebuild
 from processing.dpslam.sweep import Sweeper
 from processing.motion import Motion
 from processing.occupancy import OccupancyGrid
@@ -46,7 +48,7 @@ class Returning:
         self.seed, self.fixed = seed, fixed
         self._past, self._layer = past, layer or Layer.none()
         self.saved = rebuild(past, self.config, seed, fixed=True)
-        """The saved map as painted; it does not change."""
+        """The saved map as painted; it does not change, and is the mapper's own when the drive is found."""
         people = self.saved.population
         self._layer.write_on(people.store, past.map_t_laser)
         self.finder = Finder(people.store, people.best)
@@ -95,6 +97,9 @@ class Returning:
         both = joined(self._past, own.unseen() if self.fixed else own, len(own.keys) - 1, map_t_laser)
         self._mapper = rebuild(both, self.config, self.seed, going_on=True, fixed=self.fixed)
         self._drives, self.found = both.drives, True
+        # Nobody looks on the saved map any more: it need not be kept, nor written down with every checkpoint.
+        self._past, self.saved = both, self._mapper
+        self.finder.forget()
         if self.fixed:
             self._layer.write_on(self._mapper.population.store, both.map_t_laser)
         people = self._mapper.population

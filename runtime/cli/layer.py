@@ -82,7 +82,7 @@ def check_results(folder: Path, given: bool) -> None:
 
 def write(folder: Path, saved: "Saved", layer: "Layer") -> None:
     """Write a session with its map products under a layer, all at once; other results there are kept."""
-    from processing.dpslam.past import rebuild
+    from processing.dpslam.redrawing import rebuild
     from runtime.formats.map_server import write_keep_out, write_map
     from runtime.nodes.saved import grid_map, picture_of
     from runtime.picture import png, render

@@ -27,7 +27,8 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from drivers.world import Urg04lx, demo_building, simulate_scans
 from processing import se2
-from processing.dpslam.past import Past, past_of, rebuild
+from processing.dpslam.past import Past, past_of
+from processing.dpslam.redrawing import rebuild
 from processing.dpslam.relocation import walls_of
 from processing.dpslam.resume import Returning
 from processing.odometry import LaserOdometry, OdometryConfig

@@ -7,9 +7,11 @@ from drivers.world import Building, Urg04lx, demo_building, outline, simulate_sc
 from processing import se2
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.filter import DpSlam
+from processing.dpslam.joining import joined
 from processing.dpslam.layer import Layer, Paint
 from processing.dpslam.memory import MOST_SCANS
-from processing.dpslam.past import Past, joined, past_of, rebuild
+from processing.dpslam.past import Past, past_of
+from processing.dpslam.redrawing import rebuild
 from processing.dpslam.resume import Returning
 from processing.motion import Motion
 from processing.scan import Beams, Scan
