@@ -23,6 +23,9 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
+"""As a run's directory is on a robot with systemd: not on a disk that others use."""
+
 from runtime import config, graph, links, messages  # noqa: E402
 from runtime.bus import Mailbox  # noqa: E402
 from runtime.bus_zenoh import ZenohBus  # noqa: E402
@@ -44,7 +47,7 @@ def main():
     parser.add_argument("--every", type=float, default=300.0, metavar="S")
     parser.add_argument("--with", dest="extra", nargs="*", default=["recorder"], choices=list(EXTRA))
     args = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="hw") as folder:
+    with tempfile.TemporaryDirectory(prefix="hw", dir=MEMORY) as folder:
         data = config.load_yaml(graph.find("demo"))
         del data["nodes"]["viewer"]
         data["nodes"] |= {name: EXTRA[name] for name in args.extra}
