@@ -24,6 +24,7 @@ _ASKED = (State.STOPPING, *_DONE)
 _ROTATE_S = 5.0
 _WAVES_S = 0.4
 """For so long those are asked first that others do not wait for; then everybody is asked at once."""
+_LINGERS_S = 1.0
 SILENT_S = 5.0
 """A process that beats once a second and was not heard for so long does not work."""
 
@@ -86,6 +87,15 @@ class Supervisor:
     def idle(self) -> bool:
         """Whether every process but the hub has ended on its own."""
         return all(child.state in _DONE for child in self.children.values() if child.name != HUB)
+
+    @property
+    def lingering(self) -> dict[str, float]:
+        """Processes that were asked to end a while ago, and how many seconds they still may take."""
+        return {
+            child.name: child.spec.stop_s - child.age_s
+            for child in self.children.values()
+            if child.state is State.STOPPING and child.age_s > _LINGERS_S
+        }
 
     def step(self, ready: Collection[str], silent: Collection[str] = ()) -> None:
         """Look once after every process; call it some twenty times a second.

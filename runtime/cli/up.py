@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _TURN_S = 0.05
 _NOTIFY_S = 0.5
+_TELL_S = 2.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -170,7 +171,7 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
 
     before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     running_since: float | None = None
-    notified = 0.0
+    notified = told = 0.0
     try:
         while not live.supervisor.over:
             live.step()
@@ -186,6 +187,10 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
             if (asked or over or live.supervisor.idle) and not live.supervisor.stopping:
                 notify_init("STOPPING=1")
                 live.supervisor.stop()
+            if (lingering := live.supervisor.lingering) and now - told > _TELL_S:
+                told = now
+                for name, left_s in lingering.items():
+                    screen.say(f"  {name}: saves what it has; {max(0.0, left_s):.0f} s more at most")
             screen.show(live.status(), live.elapsed_s)
             time.sleep(_TURN_S)
     finally:

@@ -79,6 +79,7 @@ def run(port: Port, config: Config) -> int:
             mapper.take(*pair)
         mapper.tell()
         mapper.keep()
+    port.report("ok", "saving the map")
     mapper.save()
     return 0
 

@@ -186,6 +186,7 @@ def test_a_process_that_ignores_everything_is_ended_and_the_rest_is_saved(desk):
     wait_for_line(process, "all processes run after")
     process.send_signal(signal.SIGTERM)
     out, _ = process.communicate(timeout=20)
+    assert "sink: saves what it has; 1 s more at most" in out
     assert "sink: did not end within 1.8 s" in out
     assert process.returncode == 0
 
