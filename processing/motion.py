@@ -3,7 +3,7 @@
 Three kinds of motion, told apart by their covariance. A known one vouches for the whole way since the last
 one that was not lost. A lost one says nothing, and its scan belongs nowhere. One that begins anew says
 nothing of the way to it, and is where the known ones after it begin: the first of a run, and the first after
-a loss from which the matcher did not find back.
+a loss, unless the laser was only covered for a moment. Its pose is a guess: the mapper asks the whole map.
 """
 
 from dataclasses import dataclass, replace

@@ -191,7 +191,7 @@ class LaserOdometry:
         self._reference.build(np.concatenate([key.points_odom for key in self._keys]))
 
     def _motion(self, scan: Scan, middle_s: float, unseen: Points, fits: bool, anew: bool) -> Motion:
-        if anew:
+        if anew or self._watch.elsewhere:
             covariance = anew_covariance()
         elif not fits:
             covariance = lost_covariance()

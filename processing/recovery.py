@@ -80,6 +80,8 @@ class Recovery:
         """Time since the last good scan."""
         self._seeing_s = 0.0
         self._trial: list[float] | None = None
+        self.elsewhere = False
+        """Whether the place on trial is another one than where the laser was expected."""
 
     @property
     def trying(self) -> bool:
@@ -147,7 +149,7 @@ class Recovery:
         """
         found = self._only_place(points, near, matcher, reference, keys, usual)
         if found is not None:
-            self._trial = []
+            self._trial, self.elsewhere = [], found is not near
         elif not covered(points):
             self._seeing_s += duration_s
         return found

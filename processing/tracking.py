@@ -46,6 +46,8 @@ class Watch:
         self._duration_s = period_s
         self.since_s = period_s
         """Time from the last good scan to this one."""
+        self.elsewhere = False
+        """Whether this scan was found elsewhere than expected: likely, but for the whole map to confirm."""
         self._recovery: Recovery | None = None
         self._before = Ndt(ndt, capacity=1024)
         self._last: Points = np.zeros((0, 2))
@@ -71,7 +73,7 @@ class Watch:
 
     def expect(self, filter_: ConstantVelocity, duration_s: float) -> Prior:
         """Let time pass; say where the laser should be: a lost one counts as standing where it was."""
-        self._duration_s = duration_s
+        self._duration_s, self.elsewhere = duration_s, False
         self.since_s = duration_s if self._recovery is None else self.since_s + duration_s
         if self._recovery is None:
             return filter_.advance(duration_s)
@@ -140,6 +142,7 @@ class Watch:
             known = max(sight_of(points, near.pose, keys).known, LEAST_KNOWN)
             passed = recovery.judge(near.score / (self._usual * known), self._duration_s)
             if passed:
+                self.elsewhere = recovery.elsewhere
                 self._good(near.score)
             if passed is not False:
                 return near, bool(passed)

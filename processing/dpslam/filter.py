@@ -103,7 +103,7 @@ class DpSlam:
             return self._answer(key_t_laser, lost=True)
         if motion.anew and self.population.keys:
             # What was gathered before is not held together with what comes.
-            self._search = Search()
+            self._search = Search(self._predicted(key_t_laser) if self._search is None else None)
             self._trail.break_off()
         if self._search is not None:
             return self._look(self._search, self._sweeper.take(scan, motion), key_t_laser)

@@ -18,9 +18,14 @@ STEP_RAD = 0.2
 
 
 class Search:
-    """Scans since the track began anew, held together by the odometry; the map stays as it is meanwhile."""
+    """Scans since the track began anew, held together by the odometry; the map stays as it is meanwhile.
 
-    def __init__(self) -> None:
+    Args:
+        guess: Where the odometry has the laser on the map; a first look that says the same is believed.
+    """
+
+    def __init__(self, guess: Pose | None = None) -> None:
+        self._guess = guess
         self._path: list[Pose] = []
         self._finder: Finder | None = None
         self._waiting: dict[str, NDArray[Any]] | None = None
@@ -44,6 +49,9 @@ class Search:
             if self._waiting is not None:
                 self._finder.restore(self._waiting)
                 self._waiting = None
+            if self._guess is not None:
+                self._finder.expect(self._guess, odom_t_laser)
+                self._guess = None
         if self._path:
             way = se2.between(self._path[-1], odom_t_laser)
             if np.hypot(way[0], way[1]) < STEP_M and abs(way[2]) < STEP_RAD:
@@ -54,13 +62,14 @@ class Search:
     def state(self) -> dict[str, NDArray[Any]]:
         """Return what was gathered as arrays; `from_state` takes it back."""
         gathered = self._waiting or ({} if self._finder is None else self._finder.state())
-        return {"path": np.array(self._path).reshape(-1, 3), **gathered}
+        guess = np.zeros((0, 3)) if self._guess is None else self._guess[None]
+        return {"path": np.array(self._path).reshape(-1, 3), "guess": guess, **gathered}
 
     @classmethod
     def from_state(cls, state: dict[str, NDArray[Any]]) -> "Search":
         """Return the search whose `state` was taken."""
-        search = cls()
+        search = cls(next(iter(state["guess"].copy()), None))
         search._path = list(state["path"].copy())
-        gathered = {name: part for name, part in state.items() if name != "path"}
+        gathered = {name: part for name, part in state.items() if name not in ("path", "guess")}
         search._waiting = gathered or None
         return search

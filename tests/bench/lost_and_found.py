@@ -67,7 +67,8 @@ def main() -> None:
 def kidnap(scans: list[Scan], times: int) -> dict[str, dict[tuple[int, int], Case]]:
     """Map the scans, and kidnap so often forward and so often back."""
     cut = round(CUT_S / scans[0].beams.period_s)
-    moments = set((np.linspace(0.15, 0.85, times) * len(scans)).astype(int).tolist())
+    last = min(0.85 * len(scans), len(scans) - 1.5 * cut)
+    moments = set(np.linspace(0.15 * len(scans), last, times).astype(int).tolist())
     kept: dict[int, bytes] = {}
     slam = Slam(seed=1)
     lost = 0

@@ -131,7 +131,8 @@ def test_lifted_and_put_down_within_the_local_map_it_is_found_there(course):
     assert first_lost(matches, 250) <= HALF_A_SECOND
     again = found_again(matches, 250)
     assert again < 250 + 35
-    assert not matches[again].motion.anew
+    # Likely, but for the whole map to confirm.
+    assert [k for k, match in enumerate(matches) if match.motion.anew] == [0, again]
     distance, turn = off(matches[again], matches[249], se2.between(truth[249], truth[again - 50]))
     assert distance < 0.15
     assert turn < 0.05
