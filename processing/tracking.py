@@ -49,7 +49,7 @@ class Watch:
         self.elsewhere = False
         """Whether this scan was found elsewhere than expected: likely, but for the whole map to confirm."""
         self._recovery: Recovery | None = None
-        self._before = Ndt(ndt, capacity=1024)
+        self._ndt = ndt
         self._last: Points = np.zeros((0, 2))
 
     @property
@@ -106,8 +106,9 @@ class Watch:
         """
         if self.lost or self.trying:
             return None
-        self._before.build(self._last)
-        step = matcher.match(points, self._before, prior)
+        before = Ndt(self._ndt, capacity=1024)
+        before.build(self._last)
+        step = matcher.match(points, before, prior)
         if step.score < CONTINUOUS:
             return None
         expected = Prior(step.pose, prior.information + step.information)

@@ -30,7 +30,8 @@ from runtime.nodes.live_session import LiveSession, Mapper, shown
 from runtime.nodes.map_teller import MapTeller
 from runtime.nodes.matcher import rehearsal
 from runtime.nodes.rows import KEYS_COLUMNS, KEYS_FILE, Rows, write_particles
-from runtime.port import Port, Subscription
+from runtime.nodes.saved import places_in_words
+from runtime.port import Level, Port, Subscription
 from runtime.results import RunResult, provenance, save
 
 SUBSCRIBES: tuple[str, ...] = ("scan", "odom")
@@ -172,7 +173,7 @@ class _Mapper:
 
     def take(self, scan: Scan, motion: Motion) -> None:
         """Work one scan in and say where the laser is."""
-        if self._resumed:
+        if self._resumed and not motion.lost and not motion.anew:
             motion, self._resumed = self._over_the_gap(scan, motion), False
         try:
             step = self._filter.step(scan, motion)
@@ -186,8 +187,13 @@ class _Mapper:
         self._teller.changed |= step.updated
         if step.updated:
             self._keys.add(scan.stamp_ns, f"{step.n_eff:.1f}", int(step.resampled))
-        # Nobody shall drive by a pose on the map before the drive is found there.
-        if not self._session.still_looking(self._filter, step):
+        # Nobody shall drive by a pose on the map while the laser is not known to be there.
+        if self._session.still_looking(self._filter, step):
+            return
+        if step.lost:
+            level, text = _lost(step, motion)
+            self._port.report(level, text, places=len(step.places), scans=len(self._odometry))
+        else:
             self._publish(step, motion)
 
     def _over_the_gap(self, scan: Scan, motion: Motion) -> Motion:
@@ -262,6 +268,16 @@ class _Mapper:
             caption=f"{self._port.robot}, {len(trajectory)} scans, laser alone",
         )
         save(self._port.results_dir, result)
+
+
+def _lost(step: MapStep, motion: Motion) -> tuple[Level, str]:
+    """Say what is wrong, and what to do."""
+    if motion.lost:
+        return "warn", "the matcher has lost the laser; the map waits, and nothing is written"
+    if len(step.places) > 1:
+        places = places_in_words(step.places)
+        return "error", f"lost: {len(step.places)} places of the map fit equally: {places}; drive on"
+    return "error", "lost: looking for the laser on the map; drive slowly to where the map is known"
 
 
 def _spread(step: MapStep) -> np.ndarray[Any, np.dtype[np.float64]]:

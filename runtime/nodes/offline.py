@@ -68,7 +68,9 @@ class OfflineRun:
         points_laser, _ = end_points(scan, step.match.motion.twist)
         self._points_laser.append(points_laser.astype(np.float32))
         self._diary.take(step)
-        self.state = step.match.state.name
+        looking = isinstance(self._slam.mapping, Returning) and not self._slam.mapping.found
+        # Followed or not, a laser that is looked for on its own map is lost.
+        self.state = "LOST" if step.mapping.lost and not looking else step.match.state.name
         self.states[self.state] += 1
         return step
 
