@@ -1,0 +1,38 @@
+"""The odometry holds no more memory after a thousand scans than after its first two hundred."""
+
+import tracemalloc
+
+from drivers.world import Urg04lx, room, simulate_scans
+from processing.odometry import LaserOdometry, OdometryConfig
+from processing.scan import Beams, Scan
+
+WARM_UP, STEPS, EVERY = 200, 1000, 250
+
+
+def test_nothing_that_a_step_allocates_stays():
+    laser = Urg04lx()
+    beams = Beams(
+        count=laser.beams,
+        angle_min_rad=laser.angle_min_rad,
+        angle_increment_rad=laser.angle_increment_rad,
+        time_increment_s=laser.time_increment_s,
+        period_s=laser.period_s,
+        range_max_m=laser.range_max_m,
+    )
+    drive = simulate_scans(room(), laser=laser, speed_mps=0.4, laps=20, max_scans=WARM_UP + STEPS)
+    scans = [Scan(stamp_ns, ranges_m, beams) for stamp_ns, ranges_m, _ in drive]
+    odometry, held, match = LaserOdometry(OdometryConfig(), 1), [], None
+    for scan in scans[:WARM_UP]:
+        match = odometry.step(scan)
+    tracemalloc.start()
+    try:
+        for number, scan in enumerate(scans[WARM_UP:], 1):
+            match = odometry.step(scan)
+            if number % EVERY == 0:
+                held.append(tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    assert len(scans) == WARM_UP + STEPS
+    assert match is not None
+    # Key scans, all of one size, replace those from before the count began: the first figure holds them all.
+    assert max(held[1:]) - held[0] < 60_000
