@@ -92,7 +92,7 @@ def _rules(topics: str, domain: int, robot: str) -> list[dict[str, Any]]:
 def guest(invitation: Invitation) -> dict[str, Any]:
     """Return the session of a guest on another machine; a client, for a peer would get nothing."""
     return links.merged(
-        links.BASE,
+        links.merged(links.BASE, links.only("tls")),
         {
             "mode": "client",
             "connect": {

@@ -10,6 +10,7 @@ from typing import Any
 
 from runtime.errors import ConfigError
 
+LOCAL = "unixsock-stream"
 LEASE_MS = 2000
 """A peer that is silent for so long is gone. A shorter lease would drop a peer that compiles its kernels."""
 _SOCKET_PATH_MAX = 107  # sun_path of the kernel, without its closing zero
@@ -49,13 +50,22 @@ def socket(run_dir: Path, name: str) -> str:
         raise ConfigError(
             f"{path}: a socket's path has at most {_SOCKET_PATH_MAX} characters, got {len(str(path))}"
         )
-    return f"unixsock-stream/{path}"
+    return f"{LOCAL}/{path}"
+
+
+def only(*protocols: str) -> dict[str, Any]:
+    """Return what keeps a session to some kinds of links, whomever it hears of.
+
+    The hub tells its peers of a guest that calls itself a peer and says where it listens. Were they to dial
+    it, they would talk past the rules that the hub keeps.
+    """
+    return {"transport": {"link": {"protocols": list(protocols)}}}
 
 
 def peer(run_dir: Path, name: str) -> dict[str, Any]:
     """Return the session of a process on the robot."""
     return merged(
-        BASE,
+        merged(BASE, only(LOCAL)),
         {
             "mode": "peer",
             "listen": {"endpoints": [socket(run_dir, name)]},
@@ -67,7 +77,7 @@ def peer(run_dir: Path, name: str) -> dict[str, Any]:
 def visitor(run_dir: Path) -> dict[str, Any]:
     """Return the session of a command that looks at a robot of this machine; it listens nowhere."""
     return merged(
-        BASE,
+        merged(BASE, only(LOCAL)),
         {
             "mode": "client",
             "connect": {"endpoints": [socket(run_dir, "hub")], "timeout_ms": 2000, "exit_on_failure": True},
@@ -77,7 +87,9 @@ def visitor(run_dir: Path) -> dict[str, Any]:
 
 def hub(run_dir: Path, gate: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return the session of the hub; with a `gate` also for guests from outside."""
-    inside = merged(BASE, {"mode": "router", "listen": {"endpoints": [socket(run_dir, "hub")]}})
+    protocols = (LOCAL,) if gate is None else (LOCAL, "tls")
+    listen = {"mode": "router", "listen": {"endpoints": [socket(run_dir, "hub")]}}
+    inside = merged(merged(BASE, only(*protocols)), listen)
     if gate is None:
         return inside
     endpoints = [*inside["listen"]["endpoints"], *gate["listen"]["endpoints"]]

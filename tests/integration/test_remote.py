@@ -69,7 +69,11 @@ GUEST_SIDE = """
     from runtime.topics import topic
     def key(name): return messages.topic_key(f"robot/{name}", topic(name).type)
     config = gate.visit("robot")
-    config["mode"] = sys.argv[2]
+    config["mode"], _, name = sys.argv[2].partition(" ")
+    if name:  # a guest that makes its own rules
+        config["id"] = name
+        config["transport"]["link"]["protocols"] = ["tls", "tcp", "unixsock-stream"]
+        config["listen"] = {"endpoints": ["tcp/10.77.31.2:0"]}
     if len(sys.argv) > 3:
         config["connect"]["endpoints"] = [sys.argv[3]]
         config["transport"]["link"].pop("tls", None)
@@ -268,6 +272,16 @@ def test_an_operator_sees_and_drives(robot):
         seen = robot.guest("olga")
         assert seen["scans"] > 50
         assert robot.commands() >= 15
+
+
+@pytest.mark.parametrize("mode", ["peer 1", "peer fedcba9876543210fedcba9876543210", "router 1"])
+def test_a_guest_that_calls_itself_a_peer_or_a_router_gets_past_no_rule(robot, mode):
+    # Of two peers the one with the greater name dials; the robot's would dial a guest that listens.
+    robot.invite("anna", "viewer")
+    with robot:
+        seen = robot.guest("anna", mode=mode)
+        assert seen["refused"] == ""
+        assert (seen["secrets"], robot.commands()) == (0, 0)
 
 
 def test_whoever_has_no_invitation_or_one_of_another_robot_is_refused(robot, tmp_path, monkeypatch):
