@@ -240,9 +240,8 @@ def live(steps, tmp_path, config):
         inputs.append(("odom", motion_to_message(odometry.step(scan).motion)))
     for folder in ("run", "results"):
         (tmp_path / folder).mkdir(parents=True, exist_ok=True)
-    port = Paced(
-        *inputs, run_dir=tmp_path / "run", results_dir=tmp_path / "results" / "mapper", clock=Clock()
-    )
+    results = tmp_path / "results"
+    port = Paced(*inputs, run_dir=tmp_path / "run", results_dir=results / "mapper", clock=Clock())
     assert mapper.run(port, config) == 0
     return port, results
 
