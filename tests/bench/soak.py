@@ -144,7 +144,8 @@ def report(samples, metrics, code, stop_s):
             continue
         hours, rss, fds, threads = np.array(points).T
         slope = float(np.polyfit(hours, rss, 1)[0])
-        grew = (fds.max() - fds[0], threads.max() - threads[0])
+        tenth = max(1, len(points) // 10)
+        grew = [np.median(one[-tenth:]) - np.median(one[:tenth]) for one in (fds, threads)]
         word = "GROWS" if slope > GROWS_MB_H or max(grew) > 2 else "steady"
         verdicts[name] = round(slope, 2)
         print(

@@ -282,6 +282,7 @@ def test_a_guest_that_calls_itself_a_peer_or_a_router_gets_past_no_rule(robot, m
         seen = robot.guest("anna", mode=mode)
         assert seen["refused"] == ""
         assert (seen["secrets"], robot.commands()) == (0, 0)
+        assert (seen["scans"] > 50) is mode.startswith("router")  # which passes on what its guest may see
 
 
 def test_whoever_has_no_invitation_or_one_of_another_robot_is_refused(robot, tmp_path, monkeypatch):
