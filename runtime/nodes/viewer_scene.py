@@ -162,7 +162,7 @@ class Scene:
         self._pose = (pose, covariance)
         self._path.append(pose[:2])
         if received.published_ns and self._due("latency", stamp_ns):
-            taken_ms = (received.published_ns - stamp_ns) / 1e6
+            taken_ms = round((received.published_ns - stamp_ns) / 1e6, 1)
             self._at("latency", stamp_ns, lambda c: c.number("latency/scan_to_pose", taken_ms))
         self._paint_path(stamp_ns)
 
@@ -175,7 +175,7 @@ class Scene:
         self._grid = (cells, float(info.resolution), origin)
         stamp_ns = messages.stamp_ns_of(message.header.stamp)
         if received.published_ns:
-            taken_ms = (received.published_ns - stamp_ns) / 1e6
+            taken_ms = round((received.published_ns - stamp_ns) / 1e6, 1)
             self._at("latency_map", stamp_ns, lambda c: c.number("latency/scan_to_map", taken_ms))
         self._paint_map(stamp_ns)
 

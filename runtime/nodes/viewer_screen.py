@@ -200,7 +200,7 @@ class Screen:
             rrb.StateTimelineView(origin="/state", contents=lanes, name="States"),
             *plots,
             rrb.TextLogView(origin="/log", name="What happened", columns=columns),
-            row_shares=[7, 3, 4, 3, 2, 5],
+            row_shares=[7, 6, 3, 3, 2, 4],
         )
         grey = [BACKGROUND] * 3
         view = rrb.Spatial3DView(
