@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from runtime import gate, keys, links, realtime
@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 door = gate.door(host, args.robot, args.domain, args.remote, listed)
             with ZenohBus(links.hub(args.run_dir, door)):
                 # In slices: a signal that another thread takes does not end a wait without end.
-                while not asked_to_stop and (host is None or host.roster() == listed):
+                while not asked_to_stop and (host is None or not _has_changed(host, listed)):
                     time.sleep(_SLICE_S)
             if not asked_to_stop:
                 log.info("the list of guests has changed: all are asked for their names again")
@@ -56,6 +56,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         log.error("%s", error)
         return error.exit_code
     return 0
+
+
+def _has_changed(host: keys.Authority, listed: Mapping[str, keys.Role]) -> bool:
+    """Whether the list of guests is another one; one that cannot be read changes nothing."""
+    try:
+        return host.roster() != listed
+    except (HallwayError, OSError):
+        return False
 
 
 if __name__ == "__main__":

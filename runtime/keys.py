@@ -54,12 +54,15 @@ class Authority:
         return self.folder / "hub.key"
 
     def roster(self) -> dict[str, Role]:
-        """Return the role of each guest."""
+        """Return the role of each guest; raises ConfigError if the list is damaged."""
+        path = self.folder / "roster.json"
         try:
-            listed = json.loads((self.folder / "roster.json").read_text(encoding="utf-8"))
+            listed = json.loads(path.read_text(encoding="utf-8"))
+            return {str(name): role for name, role in listed.items() if role in ROLES}
         except FileNotFoundError:
             return {}
-        return {str(name): role for name, role in listed.items() if role in ROLES}
+        except (ValueError, AttributeError) as error:
+            raise ConfigError(f"{path}: is no list of guests: {error}") from error
 
     def write_roster(self, roster: dict[str, Role]) -> None:
         """Replace the list of guests."""

@@ -4,7 +4,7 @@ import stat
 
 import pytest
 
-from runtime import gate, keys
+from runtime import gate, hub, keys
 from runtime.cli import main
 from runtime.errors import ConfigError
 
@@ -106,3 +106,16 @@ def test_the_command_makes_invites_lists_revokes_and_pairs(home, capsys):
     assert "robot 'robot' at 10.0.0.1:7448: paired, as operator" in out
     assert "PRIVATE KEY" not in out
     assert main(["keys", "revoke", "anna"]) == 2
+
+
+@pytest.mark.parametrize("damage", ["{cut", "[1, 2]", "7"])
+def test_a_damaged_list_of_guests_lets_nobody_in_and_does_not_end_a_hub_that_runs(home, damage):
+    host = keys.make("robot")
+    keys.invite("robot", "anna", "viewer", "10.0.0.1")
+    listed = host.roster()
+    (host.folder / "roster.json").write_text(damage)
+    with pytest.raises(ConfigError, match="is no list of guests"):
+        host.roster()
+    assert hub._has_changed(host, listed) is False
+    host.write_roster({})
+    assert hub._has_changed(host, listed) is True
