@@ -18,7 +18,7 @@ from runtime import keys
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT, LAPTOP = "10.77.31.1", "10.77.31.2"
 
-KNOWN_CELLS = 400 * 400
+KNOWN_CELLS = 300 * 300
 
 ROBOT_SIDE = """
     import contextlib, json, subprocess, sys, threading, time
@@ -45,7 +45,7 @@ ROBOT_SIDE = """
             tell_time(peer, "robot", Clock())
             secret = peer.publisher("0/other/secret")
             tiles = Tiles(250_000)
-            cells = np.random.default_rng(1).integers(0, 101, (400, 400))
+            cells = np.random.default_rng(1).integers(0, 101, (300, 300))
             tiles.take(cells.astype(np.int8), 0.05, (0.0, 0.0), 5, 6)
             port.answer("map", tiles.answer)
             port.publish_raw("map", bytes(1_000_000))
