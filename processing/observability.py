@@ -14,12 +14,16 @@ from processing.se2 import Pose
 
 Matrix = NDArray[np.float64]
 
-BLIND_M = 0.1
+BLIND_M = 0.03
 """Standard deviation of one scan from which a direction counts as not seen.
 
-Rooms, halls and corridors with something in sight know every direction of a scan to 0.005 .. 0.06 m; a plain
-corridor leaves the one along it at 0.3 m and more. The limit lies between.
+Rooms, halls and corridors with something in sight know every direction of a scan to 0.003 .. 0.015 m, by the
+information of the score; a plain corridor leaves the one along it at 0.026 m and more, a corner just behind
+or the edge of the map in sight included.
 """
+BLIND_SHARE = 1.7
+"""A slow laser's scan tells something though it is rough: what counts as not seen is at least so many times
+what the motion is uncertain by."""
 SPEED_M_S = 0.3
 """How far the velocity along an unseen direction may be off what it was: robots of this kind go no faster."""
 MEMORY_S = 2.0
@@ -43,13 +47,18 @@ class View:
         return held
 
 
-def view(information: Matrix) -> View:
-    """Tell what is seen from the information (3, 3) of a match: x, y (m), yaw (rad)."""
+def blind_m(motion_m: float) -> float:
+    """Return from which standard deviation a scan does not see, where the motion is known to `motion_m`."""
+    return max(BLIND_M, BLIND_SHARE * motion_m)
+
+
+def view(information: Matrix, limit_m: float = BLIND_M) -> View:
+    """Tell what is seen from the information (3, 3) of a match: x, y (m), yaw (rad), up to a limit."""
     shared = information[:2, 2]
     # What is left of the position's information when the yaw is not known.
     position = information[:2, :2] - np.outer(shared, shared) / max(float(information[2, 2]), 1e-9)
     values, vectors = np.linalg.eigh(0.5 * (position + position.T))
-    unseen = vectors.T[values < 1.0 / BLIND_M**2]
+    unseen = vectors.T[values < 1.0 / limit_m**2]
     seen = np.eye(3)
     seen[:2, :2] -= unseen.T @ unseen
     return View(unseen, np.asarray(seen @ information @ seen))

@@ -94,6 +94,10 @@ class ConstantVelocity:
             c.turn_rate_rad_s**2,
         )
 
+    def drift_m(self, duration_s: float) -> float:
+        """Return the standard deviation of a place after a time in which nothing but the motion was known."""
+        return float(self._config.acceleration * np.sqrt(duration_s**3 / 3.0))
+
     def advance(self, duration_s: float) -> Prior:
         """Move on by a time; return what is expected there."""
         c = self._config

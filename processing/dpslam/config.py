@@ -21,6 +21,8 @@ class DpSlamConfig:
     """Rays of a scan that particles are weighed with, 10 .. 2000."""
     tempering: float = 0.2
     """How much of a scan's log-likelihood counts, 0.001 .. 1: its rays are not independent."""
+    motion_doubt: float = 3.0
+    """How many times its standard deviation a motion may be off, 1 .. 20: neighbours err to the same side."""
     prior_m: float = 0.06
     """How far the own map may pull a particle from the motion (one sigma), 0.001 .. 1."""
     prior_rad: float = 0.02
@@ -48,6 +50,7 @@ _RANGES = {
     "points": (20, 1000),
     "rays": (10, 2000),
     "tempering": (0.001, 1.0),
+    "motion_doubt": (1.0, 20.0),
     "prior_m": (0.001, 1.0),
     "prior_rad": (0.001, 0.5),
     "memory": (5, 150),

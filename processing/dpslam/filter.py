@@ -92,7 +92,8 @@ class DpSlam:
             # The odometry of another session starts anywhere.
             self._odom = self._key_odom = odom
         if not motion.lost:
-            self._covariance = carried(self._covariance, se2.between(self._odom, odom)) + motion.covariance
+            self._covariance = carried(self._covariance, se2.between(self._odom, odom))
+            self._covariance += self.config.motion_doubt**2 * motion.covariance
             self._odom = odom
         self._trail.add(scan.stamp_ns, odom)
         if strange and self.population.keys:

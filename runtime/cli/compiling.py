@@ -17,7 +17,17 @@ from runtime.supervisor import child_environment
 
 CHAINS: tuple[tuple[float, tuple[str, ...]], ...] = (
     (7.0, ("dpslam.grid", "dpslam.laser_model", "dpslam.writing", "dpslam.alignment", "dpslam.kernels")),
-    (6.0, ("evolution_kernels", "ndt_kernels", "wall_kernels", "matching_kernels", "dpslam.settled_kernels")),
+    (
+        6.0,
+        (
+            "evolution_kernels",
+            "ndt_kernels",
+            "wall_kernels",
+            "certainty_kernels",
+            "matching_kernels",
+            "dpslam.settled_kernels",
+        ),
+    ),
     (3.0, ("smoothing_kernels",)),
     (2.0, ("wide_match_kernels",)),
     (1.5, ("saliency_kernels",)),

@@ -266,7 +266,8 @@ class NaiveDpSlam:
             self.key_odom, self.covariance = odom, np.zeros((3, 3))
         else:
             step = se2.between(self.odom, odom)
-            self.covariance = carried(self.covariance, step) + motion.covariance
+            self.covariance = carried(self.covariance, step)
+            self.covariance += self.config.motion_doubt**2 * motion.covariance
         first, self.odom = self.odom is None, odom
         moved = se2.between(self.key_odom, odom)
         c = self.config

@@ -56,6 +56,10 @@ TWINS = {
         "solve": "unit/test_kernels.py::test_three_equations_are_solved_or_refused_as_by_numpy",
         "polish": "unit/test_kernels.py::test_the_compiled_polish_ends_where_the_plain_one_does",
     },
+    "certainty_kernels": {
+        "add_slope": "unit/test_certainty.py::test_the_spreads_are_the_sums_over_single_points",
+        "spreads": "unit/test_certainty.py::test_the_spreads_are_the_sums_over_single_points",
+    },
     "wall_kernels": {
         "continue_walls": "unit/test_ndt.py::test_a_wall_goes_on_past_its_seen_end_but_a_heap_does_not",
     },
