@@ -69,6 +69,7 @@ GUEST_SIDE = """
     from runtime.topics import topic
     def key(name): return messages.topic_key(f"robot/{name}", topic(name).type)
     config = gate.visit("robot")
+    config["connect"]["timeout_ms"] = 3000
     config["mode"], _, name = sys.argv[2].partition(" ")
     if name:  # a guest that makes its own rules
         config["id"] = name
