@@ -15,6 +15,7 @@ from processing.matching import Matcher, Matching
 from processing.ndt import Ndt, NdtConfig, Points
 from processing.prediction import ConstantVelocity, Prior
 from processing.recovery import LEAST_KNOWN, KeyScan, Recovery, sight_of
+from processing.se2 import Pose, wrap
 
 FIT = 0.5
 """Share of the usual score from which a scan fits.
@@ -23,6 +24,10 @@ On real logs one scan in some thousands scores less where it is; carried elsewhe
 """
 SURE = 0.75
 """The same after a scan that did not fit: the laser may be elsewhere."""
+SURPRISE = 3.0
+"""Sigmas from the expected pose beyond which a scan that fits worse must be one that can be seen there."""
+SHOCK = 6.0
+"""Sigmas beyond which it must not be."""
 CONTINUOUS = 0.27
 """Score on the last good scan from which two scans are of one place.
 
@@ -81,13 +86,27 @@ class Watch:
         stands = self.lost and not self._recovery.trying
         return self._recovery.stand(filter_) if stands else filter_.advance(duration_s)
 
-    def accept(self, matching: Matching, anyhow: bool = False) -> bool:
-        """Judge a match, or take it `anyhow`; one that fits goes into what is usual."""
-        least = FIT if self._misses == 0 else SURE
-        if not anyhow and (self.lost or self.trying or matching.score < least * self._usual):
+    def accept(self, points: Points, matching: Matching, prior: Prior, keys: Sequence[KeyScan]) -> bool:
+        """Judge the match of a scan; one that fits goes into what is usual.
+
+        Args:
+            points: (N, 2) of the scan, N >= 1.
+            matching: Where it fits best.
+            prior: Where it should be.
+            keys: The scans of the local map.
+        """
+        share = matching.score / self._usual if self._usual > 0.0 else 1.0
+        if self.lost or self.trying or share < (FIT if self._misses == 0 else SURE):
             return False
-        self._good(matching.score)
+        sigmas = _sigmas(matching.pose, prior) if share < SURE else 0.0
+        if sigmas > SHOCK or (sigmas > SURPRISE and not sight_of(points, matching.pose, keys).possible):
+            return False
+        self.take(matching)
         return True
+
+    def take(self, matching: Matching) -> None:
+        """Go on with a match, whatever its score."""
+        self._good(matching.score)
 
     def remember(self, points_odom: Points) -> None:
         """Keep the points (N, 2) of the last good scan."""
@@ -109,7 +128,7 @@ class Watch:
         before = Ndt(self._ndt, capacity=1024)
         before.build(self._last)
         step = matcher.match(points, before, prior)
-        if step.score < CONTINUOUS:
+        if step.score < CONTINUOUS or _sigmas(step.pose, prior) > SURPRISE:
             return None
         expected = Prior(step.pose, prior.information + step.information)
         matching = matcher.match(points, reference, expected)
@@ -164,3 +183,10 @@ class Watch:
     def _good(self, score: float) -> None:
         self._misses, self._recovery = 0, None
         self._usual = score if self._usual == 0.0 else self._usual + self._share * (score - self._usual)
+
+
+def _sigmas(pose: Pose, prior: Prior) -> float:
+    """Return how far a pose (3,) is from the expected one."""
+    off = pose - prior.pose
+    off[2] = wrap(off[2])
+    return float(np.sqrt(off @ prior.information @ off))

@@ -24,7 +24,7 @@ from processing.slam import Slam
 from runtime.nodes.log_scans import scans_of
 
 CUT_S = 10.0
-FOLLOWED_S = 60.0
+FOLLOWED_S = 30.0
 NEAR_M, NEAR_RAD = 0.5, 0.2
 """A pose farther off than this is wrong."""
 HEAD = (

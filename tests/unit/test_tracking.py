@@ -7,7 +7,7 @@ from processing.matching import Matcher, Matching, MatchingConfig
 from processing.motion import Motion, anew_covariance, following, lost_covariance
 from processing.ndt import Ndt, NdtConfig
 from processing.prediction import ConstantVelocity, PredictionConfig, Prior
-from processing.recovery import Recovery, covered
+from processing.recovery import KeyScan, Recovery, covered
 from processing.se2 import invert, transform
 from processing.sightlines import judge
 from processing.tracking import FIT, SURE, Watch
@@ -15,13 +15,24 @@ from processing.tracking import FIT, SURE, Watch
 URG_S, SICK_S, FAST_S = 0.0999, 0.1975, 1.0 / 75.0
 
 
+def ring(radius_m, count=300):
+    bearing = np.linspace(-2.0, 2.0, count)
+    return radius_m * np.column_stack((np.cos(bearing), np.sin(bearing)))
+
+
 def matching(score):
     return Matching(np.zeros(3), score, -np.eye(3), 1e4 * np.eye(3), 1, 1, 1)
 
 
+def accepted(watch, found, off_m=0.0):
+    """Whether a scan of a ring of 2 m is accepted on a ring of 4 m, so far from where it was expected."""
+    prior = Prior(np.array((off_m, 0.0, 0.0)), np.diag((400.0, 400.0, 400.0)))
+    return watch.accept(ring(2.0), found, prior, [KeyScan(np.zeros(3), ring(4.0))])
+
+
 def watch_of(period_s, usual=0.6):
     watch = Watch(period_s, NdtConfig())
-    watch.accept(matching(usual))
+    watch.take(matching(usual))
     return watch
 
 
@@ -52,34 +63,43 @@ def test_scans_that_never_came_count_as_time_without_a_good_one():
 @pytest.mark.parametrize("usual", [0.3, 0.6, 0.9])
 def test_a_score_is_judged_by_what_is_usual_in_this_scene(usual):
     watch = watch_of(URG_S, usual)
-    assert watch.accept(matching(1.01 * FIT * usual))
-    assert not watch.accept(matching(0.98 * FIT * usual))
+    assert accepted(watch, matching(1.01 * FIT * usual))
+    assert not accepted(watch, matching(0.98 * FIT * usual))
 
 
 def test_what_is_usual_follows_the_scene_in_seconds_and_a_bad_scan_does_not_move_it():
     watch = watch_of(URG_S, 0.8)
     for _ in range(round(20.0 / URG_S)):
-        assert watch.accept(matching(0.45))
-    assert watch.accept(matching(0.25))
+        assert accepted(watch, matching(0.45))
+    assert accepted(watch, matching(0.25))
     other = watch_of(URG_S, 0.8)
     for _ in range(50):
-        assert not other.accept(matching(0.25))
+        assert not accepted(other, matching(0.25))
 
 
 def test_after_a_bad_scan_the_next_must_fit_better():
     watch, filter_ = watch_of(URG_S), ConstantVelocity(PredictionConfig())
     middling = matching(0.5 * (FIT + SURE) * 0.6)
-    assert watch.accept(middling)
+    assert accepted(watch, middling)
     watch.expect(filter_, URG_S)
     watch.miss(filter_, 0)
-    assert not watch.accept(middling)
-    assert watch.accept(matching(0.6))
-    assert watch.accept(middling)
+    assert not accepted(watch, middling)
+    assert accepted(watch, matching(0.6))
+    assert accepted(watch, middling)
+
+
+def test_a_scan_that_fits_worse_far_from_where_it_was_expected_must_be_possible_there():
+    middling = matching(0.5 * (FIT + SURE) * 0.6)
+    assert accepted(watch_of(URG_S), middling, off_m=0.1)
+    assert not accepted(watch_of(URG_S), middling, off_m=0.3)
+    assert accepted(watch_of(URG_S), matching(0.6), off_m=0.3)
 
 
 def test_the_papers_chain_takes_every_match():
     watch = watch_of(URG_S)
-    assert watch.accept(matching(0.01), anyhow=True)
+    assert not accepted(watch, matching(0.01))
+    watch.take(matching(0.01))
+    assert accepted(watch, matching(0.5))
 
 
 def corner(count=150):
@@ -122,11 +142,6 @@ def test_a_hand_before_the_laser_and_a_few_points_are_no_view():
     assert covered(ring)
     assert covered(corner()[:10])
     assert not covered(corner())
-
-
-def ring(radius_m, count=300):
-    bearing = np.linspace(-2.0, 2.0, count)
-    return radius_m * np.column_stack((np.cos(bearing), np.sin(bearing)))
 
 
 def test_a_place_behind_a_wall_is_none():
