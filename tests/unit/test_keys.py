@@ -4,7 +4,7 @@ import stat
 
 import pytest
 
-from runtime import gate, hub, keys
+from runtime import gate, hub, keys, links
 from runtime.cli import main
 from runtime.errors import ConfigError
 
@@ -119,3 +119,17 @@ def test_a_damaged_list_of_guests_lets_nobody_in_and_does_not_end_a_hub_that_run
     assert hub._has_changed(host, listed) is False
     host.write_roster({})
     assert hub._has_changed(host, listed) is True
+
+
+def test_the_processes_of_a_robot_dial_nobody_over_a_network_and_its_hub_lets_in_by_tls_alone(home):
+    host = keys.make("robot")
+
+    def protocols(session):
+        return session["transport"]["link"]["protocols"]
+
+    assert protocols(links.peer(home, "base")) == ["unixsock-stream"]
+    assert protocols(links.visitor(home)) == ["unixsock-stream"]
+    assert protocols(links.hub(home)) == ["unixsock-stream"]
+    door = gate.door(host, "robot", 0, "0.0.0.0:7448", {})
+    assert protocols(links.hub(home, door)) == ["unixsock-stream", "tls"]
+    assert protocols(gate.guest(keys.invite("robot", "anna", "viewer", "10.0.0.1"))) == ["tls"]
