@@ -12,10 +12,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.certainty import Certainty
 from processing.matching import Matcher, Matching, MatchingConfig
 from processing.motion import Motion, anew_covariance, lost_covariance
 from processing.ndt import Ndt, NdtConfig
-from processing.observability import view, widened
+from processing.observability import blind_m, view, widened
 from processing.prediction import ConstantVelocity, PredictionConfig, Prior, exponential, turned
 from processing.recovery import KeyScan, shaded
 from processing.saliency import Resampler, ResamplingConfig
@@ -24,6 +25,7 @@ from processing.se2 import between, compose, snap_yaw, transform
 from processing.tracking import Watch
 
 Points = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
 
 class Tracking(enum.Enum):
@@ -97,6 +99,8 @@ class LaserOdometry:
         self._matcher = Matcher(config.matching, seed)
         self._filter = ConstantVelocity(config.prediction)
         self._reference = Ndt(config.ndt)
+        fine_share = config.matching.fine_share if config.matching.polish else 0.0
+        self._certainty = Certainty(config.matching.score_weight, fine_share)
         self._keys: list[KeyScan] = []
 
     def step(self, scan: Scan, missed: int = 0) -> Match:
@@ -116,6 +120,7 @@ class LaserOdometry:
         ends = resampler.points(scan, twist, middle_s)
         points = resampler.means()
         matching, fits, unseen = None, False, np.zeros((0, 2))
+        covariance = self._filter.covariance[:3, :3]
         sees = len(points) > 0 and not shaded(points)
         if prior is not None and sees:
             matching, fits = self._locate(points, prior, watch)
@@ -123,9 +128,14 @@ class LaserOdometry:
             watch.miss(self._filter, missed)
         if prior is not None and matching is not None and (watch.trying or not watch.lost):
             # One that does not fit may still tell a little, as long as it is not known to be wrong.
-            seen = view(matching.information)
+            seen = view(matching.information, blind_m(self._filter.drift_m(duration_s)))
             pose = seen.hold(matching.pose, prior.pose)
+            before = self._filter.twist
             self._filter.correct(pose, turned(seen.information, -pose[2]))
+            twists = (before, self._filter.twist)
+            covariance = self._certainty.judge(
+                scan, len(ends), points, matching, self._reference, twists, middle_s
+            )
             unseen = _in_laser(seen.unseen, pose[2])
             self._filter.bound(unseen)
         anew = sees and (prior is None or watch.hopeless)
@@ -139,7 +149,7 @@ class LaserOdometry:
         if key:
             self._remember(ends if self.config.reference_points == "all" else points)
         return Match(
-            motion=self._motion(scan, middle_s, unseen, fits, anew),
+            motion=self._motion(scan, middle_s, covariance, unseen, fits, anew),
             state=Tracking.LOST if watch.lost or not self._keys else _state(unseen),
             blind_rad=_axis(unseen),
             score=0.0 if matching is None else matching.score,
@@ -194,13 +204,15 @@ class LaserOdometry:
         del self._keys[:-kept]
         self._reference.build(np.concatenate([key.points_odom for key in self._keys]))
 
-    def _motion(self, scan: Scan, middle_s: float, unseen: Points, fits: bool, anew: bool) -> Motion:
+    def _motion(
+        self, scan: Scan, middle_s: float, covariance: Matrix, unseen: Points, fits: bool, anew: bool
+    ) -> Motion:
         if anew or self._watch.elsewhere:
             covariance = anew_covariance()
         elif not fits:
             covariance = lost_covariance()
         else:
-            covariance = widened(self._filter.covariance[:3, :3], unseen, self._watch.since_s)
+            covariance = widened(covariance, unseen, self._watch.since_s)
         return Motion(
             stamp_ns=scan.stamp_ns,
             odom_t_laser=snap_yaw(compose(self._filter.pose, exponential(-self._filter.twist * middle_s))),
