@@ -35,6 +35,7 @@ ELSEWHERE = {
     "view": "test_view_command, in a browser",
     "teleop": "test_teleop, on a terminal",
     "paper --out paper": "test_paper_command",
+    "paper --logs exp1.dat exp2.dat ccny_urg.bag": "test_paper_command, with a log of its own",
 }
 
 
