@@ -44,6 +44,8 @@ GROUND_STEP = 4
 LEAST_POINTS = 40
 LEAST_FIT = 0.6
 """Share of the points that must find their wall."""
+LEAST_BELIEF = 0.75
+"""The same, for a place to be believed and not only named: a corner alone looks like many corners."""
 LEAST_SHARE = 0.8
 """Places that fit so much worse than the best one are not judged."""
 MOST_PLACES = 6
@@ -189,8 +191,8 @@ class Finder:
             return NOWHERE
         equal = [one for one in judged if judged[0][0] - one[0] < EQUAL]
         places, fits = tuple(one[3] for one in equal), tuple(one[2] for one in equal)
-        if len(equal) > 1:
-            self.equals += 1
+        if len(equal) > 1 or fits[0] < LEAST_BELIEF:
+            self.equals += len(equal) > 1
             return Relocation(None, places, fits)
         self._before = se2.compose(places[0], se2.invert(here))
         if before is None:
