@@ -20,7 +20,7 @@ FIT_M = 0.12
 """Blur of the walls."""
 SIGHT_M = 10.0
 """Points farther away are left out: the step of the search in rotation falls with the farthest point."""
-LEAST_FIT = 0.7
+LEAST_FIT = 0.75
 """Share of the points that must find their wall."""
 LEAST_RAY = -1.8
 """Least mean log-likelihood of a ray."""
