@@ -58,5 +58,6 @@ def test_a_wall_holds_across_itself_only():
     part = wall[(wall[:, 0] > 4) & (wall[:, 0] < 6)][::6] - (5.0, 0.0)
     fit = settled.refine(part, np.array((5.0 + 0.3 * CELL_M, 0.03, 0.0)), np.diag((1.0, 1.0, 1.0)))
     assert abs(fit.map_t_points[1]) < 0.005
-    assert abs(fit.map_t_points[0] - (5.0 + 0.3 * CELL_M)) < 0.01
+    # Nothing holds it along the wall but a prior of a metre.
+    assert abs(fit.map_t_points[0] - (5.0 + 0.3 * CELL_M)) < 0.06
     assert fit.information[0, 0] < 1e-2 * fit.information[1, 1]

@@ -22,10 +22,10 @@ def test_nothing_that_a_step_allocates_stays():
     drive = simulate_scans(room(), laser=laser, speed_mps=0.4, laps=20, max_scans=WARM_UP + STEPS)
     scans = [Scan(stamp_ns, ranges_m, beams) for stamp_ns, ranges_m, _ in drive]
     odometry, held, match = LaserOdometry(OdometryConfig(), 1), [], None
-    for scan in scans[:WARM_UP]:
-        match = odometry.step(scan)
     tracemalloc.start()
     try:
+        for scan in scans[:WARM_UP]:
+            match = odometry.step(scan)
         for number, scan in enumerate(scans[WARM_UP:], 1):
             match = odometry.step(scan)
             if number % EVERY == 0:
@@ -34,5 +34,5 @@ def test_nothing_that_a_step_allocates_stays():
         tracemalloc.stop()
     assert len(scans) == WARM_UP + STEPS
     assert match is not None
-    # Key scans, all of one size, replace those from before the count began: the first figure holds them all.
-    assert max(held[1:]) - held[0] < 60_000
+    # Key scans come and go, and are of all sizes up to 11 kB; there are twenty.
+    assert max(held[1:]) - held[0] < 120_000
