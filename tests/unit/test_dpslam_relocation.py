@@ -184,7 +184,8 @@ def test_a_map_that_contradicts_what_is_seen_is_not_written_on(mapped):
             found_at = number
             break
     assert lost_at is not None
-    assert lost_at < 140
+    # Twelve key scans, three metres of way.
+    assert lost_at < 160
     assert found_at is not None
     distance, _ = off(step.map_t_laser, poses[found_at])
     assert distance < 0.2
