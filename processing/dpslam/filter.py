@@ -25,14 +25,12 @@ from processing.dpslam.search import Search
 from processing.dpslam.sweep import NOTHING_SEEN, Sweep, Sweeper
 from processing.dpslam.trail import Trail
 from processing.motion import UNKNOWN_VARIANCE, Motion, carried
-from processing.ndt import Points
 from processing.occupancy import OccupancyGrid, occupancy_of
 from processing.scan import Beams, Scan
 from processing.se2 import Pose
 
-MISFITS = 12
-"""Key scans in a row, three metres of way, that contradict the own map before the track counts as lost: drift
-contradicts as well, and the loop that takes it out is found within that."""
+MISFITS = 5
+"""Key scans in a row that contradict the own map before the track counts as lost."""
 _BEAMS = tuple(field.name for field in fields(Beams))
 
 
@@ -116,14 +114,13 @@ class DpSlam:
         resampled = False
         if self.population.keys:
             resampled = self.population.update(sweep, key_t_laser, self._covariance)
-        # What contradicts the map shall not overwrite it: next time it would fit.
-        drawn = NOTHING_SEEN if self.population.misfits else sweep
-        closed = self._write(drawn, key_t_laser, self._covariance, sweep.points)
+        if self.population.misfits:
+            # What contradicts the map shall not overwrite it: next time it would fit.
+            sweep = NOTHING_SEEN
+        closed = self._write(sweep, key_t_laser, self._covariance)
         if self.population.misfits >= MISFITS:
             self._search = Search()
             self._trail.break_off()
-            if self.loops is not None:
-                self.loops.disown(MISFITS)
         return self._answer(np.zeros(3), updated=True, resampled=resampled, closed=closed)
 
     def find_itself(self) -> None:
@@ -143,13 +140,8 @@ class DpSlam:
         self._write(sweep, se2.between(before, place), np.diag((UNKNOWN_VARIANCE,) * 3))
         return self._answer(np.zeros(3), updated=True)
 
-    def _write(
-        self, sweep: Sweep, key_t_laser: Pose, covariance: Matrix, points: Points | None = None
-    ) -> bool:
-        """Write a key scan into all maps; return whether that closed a loop.
-
-        `points` (N, 2), laser frame, may close a loop though they are not written.
-        """
+    def _write(self, sweep: Sweep, key_t_laser: Pose, covariance: Matrix) -> bool:
+        """Write a key scan into all maps; return whether that closed a loop."""
         people = self.population
         if self.fixed:
             sweep = NOTHING_SEEN
@@ -160,8 +152,7 @@ class DpSlam:
         if self.loops is not None:
             if replaced is not None:
                 self.loops.forget(replaced)
-            seen = sweep.points if points is None or self.fixed else points
-            moved = self.loops.step(key_t_laser, covariance, seen, people.path)
+            moved = self.loops.step(key_t_laser, covariance, sweep.points, people.path)
             if moved is not None:
                 self.relive(moved)
         self._key_odom, self._covariance = self._odom, np.zeros((3, 3))

@@ -147,11 +147,6 @@ class Loops:
         if key < self._settled:
             self.points[key] = np.zeros((0, 2))
 
-    def disown(self, count: int) -> None:
-        """Let go of the points of the newest key scans: they were taken elsewhere."""
-        for key in range(max(self._settled, len(self.points) - count), len(self.points)):
-            self.points[key] = np.zeros((0, 2))
-
     def state(self) -> dict[str, NDArray[Any]]:
         """Return everything as arrays; `restore` takes it back."""
         near, key, seen, known, doubt = zip(*self.places, strict=True) if self.places else ((),) * 5

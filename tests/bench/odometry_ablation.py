@@ -53,7 +53,7 @@ def variants() -> dict[str, OdometryConfig]:
         "cells 1 m": replace(base, ndt=replace(n, cell_m=1.0, fine_cell_m=0.0)),
         "cells 1 + 0.5 m": replace(base, ndt=replace(n, cell_m=1.0, fine_cell_m=0.5)),
         "cells 0.5 + 0.125 m": replace(base, ndt=replace(n, cell_m=0.5, fine_cell_m=0.125)),
-        "walls not continued": replace(base, ndt=replace(n, continued=0)),
+        "walls continued": replace(base, ndt=replace(n, continued=2)),
         "flat cells not stretched": replace(base, ndt=replace(n, flat_stretch=1.0)),
         "DE alone": replace(base, matching=replace(m, polish=False)),
         "DE of Table 1 + polish": replace(base, matching=table_1),

@@ -38,7 +38,7 @@ def variants() -> dict[str, OdometryConfig | SlamConfig]:
         ),
         "a point weighs a third": replace(odometry, matching=replace(matching, score_weight=0.3)),
         "wide cells only": replace(odometry, ndt=replace(ndt, fine_cell_m=0.0)),
-        "walls end where they were seen": replace(odometry, ndt=replace(ndt, continued=0)),
+        "walls go on past their seen end": replace(odometry, ndt=replace(ndt, continued=2)),
         "flat cells as they are": replace(odometry, ndt=replace(ndt, flat_stretch=1.0)),
         "a reference of resampled points": replace(odometry, reference_points="resampled"),
         "against the last key scan": replace(odometry, reference="key_scan"),
