@@ -52,8 +52,8 @@ class NdtConfig:
     flat_stretch: float = 1e4
     """Factor on the long variance of a wall: it constrains across itself only. 1 keeps the cell as it is."""
     continued: int = 0
-    """Half cells by which a wall goes on past its seen end, in the wide cells; 0 for none. Two hold a fast robot
-    in long corridors in simulation, and let the track slip once on Intel."""
+    """Half cells by which a wall goes on past its seen end, in the wide cells; 0 for none. Two hold a fast
+    robot in long corridors in simulation, and let the track slip once on Intel."""
 
     def __post_init__(self) -> None:
         if not 0.05 <= self.cell_m <= 5.0:
