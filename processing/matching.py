@@ -27,8 +27,8 @@ class MatchingConfig:
     """Half side of the searched box around the prior."""
     window_rad: float = 0.4
     polish: bool = True
-    score_weight: float = 1.0
-    """Log-likelihood of one point that fits."""
+    score_weight: float = 0.4
+    """Log-likelihood of one point that fits: neighbouring points err alike, and a person is many points."""
     freedom: float = 4.0
     """Degrees of freedom of the motion prior in the search: few forgive what the filter did not foresee."""
     coarse_deviation_m: float = 0.03

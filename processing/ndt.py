@@ -22,14 +22,13 @@ from processing.ndt_kernels import (
     sampled_score,
 )
 from processing.se2 import Pose
-from processing.wall_kernels import continue_walls
 
 Points = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 _RIM = 3
-"""Half cells kept free around the points and the continued walls: a block reaches one, a point beside it
-another, rounding the third."""
+"""Half cells kept free around the points: a block reaches one, a point beside it another, rounding the
+third."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,9 +50,6 @@ class NdtConfig:
     """A cell whose variances have a smaller ratio is a piece of wall."""
     flat_stretch: float = 1e4
     """Factor on the long variance of a wall: it constrains across itself only. 1 keeps the cell as it is."""
-    continued: int = 0
-    """Half cells by which a wall goes on past its seen end, in the wide cells; 0 for none. Two hold a fast
-    robot in long corridors in simulation, and let the track slip once on Intel."""
 
     def __post_init__(self) -> None:
         if not 0.05 <= self.cell_m <= 5.0:
@@ -68,8 +64,6 @@ class NdtConfig:
             raise ValueError(
                 f"min_ratio, flat_ratio = {self.min_ratio}, {self.flat_ratio}, must be in [0, 1]"
             )
-        if not 0 <= self.continued <= 20:
-            raise ValueError(f"continued = {self.continued}, must be in [0, 20]")
         if not self.flat_stretch >= 1.0:
             raise ValueError(f"flat_stretch = {self.flat_stretch}, must be at least 1")
 
@@ -110,21 +104,18 @@ class Ndt:
         self.fine: Ndt | None = None
         """The same points in finer cells, which have no raster."""
         if config.fine_cell_m > 0.0:
-            self.fine = Ndt(
-                replace(config, cell_m=config.fine_cell_m, fine_cell_m=0.0, continued=0), capacity
-            )
+            self.fine = Ndt(replace(config, cell_m=config.fine_cell_m, fine_cell_m=0.0), capacity)
         self._allocate(capacity)
         self._open(64, 64)
 
     def _allocate(self, capacity: int) -> None:
         self._sums = np.zeros((capacity, 6))
         self._places = np.zeros((capacity, 2), np.int32)
-        # A point opens at most four blocks and nine tiles, and a block that many again at each step of a wall
-        # that goes on; neighbours share nearly all of them, and memory that nobody touches costs nothing.
-        ends = 2 * self.config.continued
-        self.normals = np.zeros((4 * (1 + ends) * capacity, 5))
-        self._blocks = np.zeros((4 * (1 + ends) * capacity, 2), np.int32)
-        self.tiles = np.zeros(((9 + 16 * ends) * capacity, SIDE * SIDE), np.float32)
+        # A point opens at most four blocks and nine tiles; neighbours share nearly all of them, and memory
+        # that nobody touches costs nothing.
+        self.normals = np.zeros((4 * capacity, 5))
+        self._blocks = np.zeros((4 * capacity, 2), np.int32)
+        self.tiles = np.zeros((9 * capacity, SIDE * SIDE), np.float32)
         self._tile_places = np.zeros((len(self.tiles), 2), np.int32)
 
     def _open(self, rows: int, cols: int) -> None:
@@ -162,9 +153,8 @@ class Ndt:
         clear(self.slots, self._places, self._blocks, self._tile_places, self._counts)
         if len(points) == 0:
             return
-        rim = _RIM + self.config.continued
-        low = np.floor(points.min(axis=0) / self._half_m) - rim
-        high = np.floor(points.max(axis=0) / self._half_m) + rim + 1
+        low = np.floor(points.min(axis=0) / self._half_m) - _RIM
+        high = np.floor(points.max(axis=0) / self._half_m) + _RIM + 1
         cols, rows = int(high[0] - low[0]), int(high[1] - low[1])
         if rows > self.slots.shape[1] or cols > self.slots.shape[2]:
             self._open(max(rows + 32, self.slots.shape[1]), max(cols + 32, self.slots.shape[2]))
@@ -181,9 +171,6 @@ class Ndt:
             self._blocks,
             self._rule,
             self._counts,
-        )
-        self._counts[1] = continue_walls(
-            self.origin, self.slots, self.normals, self._blocks, self.config.continued, self._counts[1]
         )
 
     def score(self, points: Points, frame_t_points: Pose, blur_m2: float = 0.0) -> Score:

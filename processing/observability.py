@@ -21,13 +21,15 @@ Rooms, halls and corridors with something in sight know every direction of a sca
 information of the score; a plain corridor leaves the one along it at 0.026 m and more, a corner just behind
 or the edge of the map in sight included.
 """
-BLIND_SHARE = 1.7
+BLIND_SHARE = 1.0
 """A slow laser's scan tells something though it is rough: what counts as not seen is at least so many times
 what the motion is uncertain by."""
-SPEED_M_S = 0.3
-"""How far the velocity along an unseen direction may be off what it was: robots of this kind go no faster."""
-MEMORY_S = 2.0
-"""For how long that error stays the same: errors of a velocity add up along the way, not by chance."""
+UNSEEN_SPEED_M_S = 0.3
+"""How far the velocity along an unseen direction may be off, until it was seen once: robots of this kind go
+no faster."""
+SPEED_ERROR_M_S = 0.07
+"""How far it may be off what it was when it was seen last. It keeps its error: that adds up along the way,
+not by chance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,14 +66,28 @@ def view(information: Matrix, limit_m: float = BLIND_M) -> View:
     return View(unseen, np.asarray(seen @ information @ seen))
 
 
-def widened(covariance: Matrix, unseen: NDArray[np.float64], duration_s: float) -> Matrix:
-    """Return the covariance (3, 3) of a motion, honestly wide along unseen directions (K, 2).
+class Blindness:
+    """How long a direction has not been seen, and how far the laser may have strayed along it since."""
 
-    What is unknown there is a velocity that keeps its error for a while; both arguments share their axes.
-    """
-    variance = SPEED_M_S**2 * duration_s * MEMORY_S
-    seen = np.eye(3)
-    seen[:2, :2] -= unseen.T @ unseen
-    wide = seen @ covariance @ seen
-    wide[:2, :2] += variance * unseen.T @ unseen
-    return np.asarray(wide)
+    def __init__(self) -> None:
+        self._blind_s = 0.0
+        self._speed_m_s = UNSEEN_SPEED_M_S
+
+    def widened(self, covariance: Matrix, unseen: NDArray[np.float64], duration_s: float) -> Matrix:
+        """Return the covariance (3, 3) of the next motion, honestly wide along unseen directions (K, 2).
+
+        Args:
+            covariance: What the match claims.
+            unseen: Unit vectors, on the axes of the covariance.
+            duration_s: Time of the motion.
+        """
+        if len(unseen) == 0:
+            self._blind_s, self._speed_m_s = 0.0, SPEED_ERROR_M_S
+            return covariance
+        before_s, self._blind_s = self._blind_s, self._blind_s + duration_s
+        variance = self._speed_m_s**2 * (self._blind_s**2 - before_s**2)
+        seen = np.eye(3)
+        seen[:2, :2] -= unseen.T @ unseen
+        wide = seen @ covariance @ seen
+        wide[:2, :2] += variance * unseen.T @ unseen
+        return np.asarray(wide)

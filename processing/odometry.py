@@ -16,8 +16,8 @@ from processing.certainty import Certainty
 from processing.matching import Matcher, Matching, MatchingConfig
 from processing.motion import Motion, anew_covariance, lost_covariance
 from processing.ndt import Ndt, NdtConfig
-from processing.observability import blind_m, view, widened
-from processing.prediction import ConstantVelocity, PredictionConfig, Prior, exponential, turned
+from processing.observability import Blindness, blind_m, view
+from processing.prediction import ConstantVelocity, PredictionConfig, Prior, exponential, turned, weakened
 from processing.recovery import KeyScan, shaded
 from processing.saliency import Resampler, ResamplingConfig
 from processing.scan import Beams, Scan
@@ -45,7 +45,9 @@ class OdometryConfig:
     """What a scan is matched against; the paper's is the previous scan."""
     reference_points: Literal["all", "resampled"] = "all"
     """What of a scan goes into the reference: every point, or the means that are matched."""
-    key_scans: int = 20
+    fill_m: float = 4.0
+    """Greatest gap between two rays on one straight wall that is filled in the reference; 0 for none."""
+    key_scans: int = 40
     """Number of the newest key scans in the local map."""
     key_distance_m: float = 0.2
     key_angle_rad: float = 0.175
@@ -63,6 +65,8 @@ class OdometryConfig:
             )
         if self.reference_points not in ("all", "resampled"):
             raise ValueError(f"reference_points = {self.reference_points!r}, must be 'all' or 'resampled'")
+        if not 0.0 <= self.fill_m <= 20.0:
+            raise ValueError(f"fill_m = {self.fill_m}, must be in [0, 20]")
         if not 1 <= self.key_scans <= 10_000:
             raise ValueError(f"key_scans = {self.key_scans}, must be in [1, 10000]")
         if not 0.0 < self.key_distance_m <= 10.0:
@@ -102,6 +106,8 @@ class LaserOdometry:
         fine_share = config.matching.fine_share if config.matching.polish else 0.0
         self._certainty = Certainty(config.matching.score_weight, fine_share)
         self._keys: list[KeyScan] = []
+        self._blindness = Blindness()
+        self._whole = config.reference_points == "all"
 
     def step(self, scan: Scan, missed: int = 0) -> Match:
         """Match the next scan.
@@ -131,7 +137,8 @@ class LaserOdometry:
             seen = view(matching.information, blind_m(self._filter.drift_m(duration_s)))
             pose = seen.hold(matching.pose, prior.pose)
             before = self._filter.twist
-            self._filter.correct(pose, turned(seen.information, -pose[2]))
+            information = turned(seen.information, -pose[2])
+            self._filter.correct(pose, weakened(information, prior, pose) if watch.doubtful else information)
             twists = (before, self._filter.twist)
             covariance = self._certainty.judge(
                 scan, len(ends), points, matching, self._reference, twists, middle_s
@@ -145,11 +152,11 @@ class LaserOdometry:
             self._filter.forget_velocity()
         if anew or fits:
             watch.remember(transform(self._filter.pose, ends))
-        key = anew or (fits and self._is_key())
+        key = anew or (fits and not watch.doubtful and self._is_key())
         if key:
-            self._remember(ends if self.config.reference_points == "all" else points)
+            self._remember(resampler.filled(self.config.fill_m) if self._whole else points)
         return Match(
-            motion=self._motion(scan, middle_s, covariance, unseen, fits, anew),
+            motion=self._motion(scan, middle_s, covariance, unseen, fits and not watch.doubtful, anew),
             state=Tracking.LOST if watch.lost or not self._keys else _state(unseen),
             blind_rad=_axis(unseen),
             score=0.0 if matching is None else matching.score,
@@ -212,7 +219,7 @@ class LaserOdometry:
         elif not fits:
             covariance = lost_covariance()
         else:
-            covariance = widened(covariance, unseen, self._watch.since_s)
+            covariance = self._blindness.widened(covariance, unseen, self._watch.since_s)
         return Motion(
             stamp_ns=scan.stamp_ns,
             odom_t_laser=snap_yaw(compose(self._filter.pose, exponential(-self._filter.twist * middle_s))),

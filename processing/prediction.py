@@ -15,6 +15,9 @@ from processing.se2 import Pose, between, compose, invert
 Twist = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
+LEAST_INFORMATION = 1e-6
+"""Keeps what is not seen at all finite, 1/m^2 and 1/rad^2."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PredictionConfig:
@@ -70,6 +73,22 @@ def turned(matrix: Matrix, yaw_rad: float) -> Matrix:
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     rotation = np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
     return np.asarray(rotation @ matrix @ rotation.T)
+
+
+def weakened(information_laser: Matrix, prior: Prior, pose: Pose) -> Matrix:
+    """Return the information (3, 3), laser's axes, of a match that may as well be wrong.
+
+    Where the scan lies is then what the motion says of it, and the match is as far off as it is from there.
+
+    Args:
+        information_laser: (3, 3) that the match claims.
+        prior: Where the scan was expected, and
+        pose: (3,) where it was found.
+    """
+    expected = np.linalg.inv(turned(prior.information, -pose[2]))
+    off = logarithm(between(prior.pose, pose))
+    claimed = np.linalg.inv(information_laser + LEAST_INFORMATION * np.eye(3))
+    return np.asarray(np.linalg.inv(claimed + expected + np.outer(off, off)))
 
 
 class ConstantVelocity:

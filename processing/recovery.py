@@ -204,8 +204,9 @@ class Recovery:
 
 def sight_of(points: Points, odom_t_laser: Pose, keys: Sequence[KeyScan]) -> Sight:
     """Ask the local map whether a scan (N, 2), laser frame, can have been taken at a place."""
-    points_odom = np.concatenate([key.points_odom for key in keys])
-    return judge(points, odom_t_laser, points_odom, [(key.odom_t_laser, key.points_odom) for key in keys])
+    ends = np.cumsum([len(key.points_odom) for key in keys])
+    poses = np.array([key.odom_t_laser for key in keys])
+    return judge(points, odom_t_laser, np.concatenate([key.points_odom for key in keys]), ends, poses)
 
 
 def covered(points: Points) -> bool:

@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 
 from processing.saliency_kernels import end_points, resample
 from processing.scan import Beams, Scan
+from processing.wall_kernels import fill_walls
+
+MOST_FILLED = 4000
+"""Room for points between the rays of a sweep."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,6 +72,7 @@ class Resampler:
         self._points = np.empty((beams.count, 2))
         self._rays = np.empty(beams.count, np.int64)
         self._means = np.empty((beams.count, 2))
+        self._filled = np.empty((beams.count + MOST_FILLED, 2))
         self._members = np.empty(beams.count, np.int64)
         self._work = np.empty((beams.count, 4))
 
@@ -77,6 +82,15 @@ class Resampler:
         sweep = np.array((beams.range_min_m, beams.range_max_m, beams.time_increment_s, instant_s))
         self._count = int(end_points(scan.ranges_m, self._directions, sweep, twist, self._points, self._rays))
         return self._points[: self._count]
+
+    def filled(self, most_m: float) -> NDArray[np.float64]:
+        """Return the points of the last sweep and more between them, (K, 2), a copy.
+
+        Args:
+            most_m: Greatest gap between two rays on one straight wall that is filled; 0 for none.
+        """
+        written = fill_walls(self._points, self._rays, self._count, most_m, self._filled)
+        return self._filled[:written].copy()
 
     def means(self) -> NDArray[np.float64]:
         """Return the resampled points of the last sweep; (K, 2), K near the wanted number, a copy."""

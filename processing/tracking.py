@@ -24,6 +24,10 @@ On real logs one scan in some thousands scores less where it is; carried elsewhe
 """
 SURE = 0.75
 """The same after a scan that did not fit: the laser may be elsewhere."""
+DOUBTFUL = 0.75
+"""The same, where the map knows what the scan should see: something else moves."""
+DOUBT_S = 2.0
+"""After so much time of it the map is wrong, not the scan."""
 SURPRISE = 3.0
 """Sigmas from the expected pose beyond which a scan that fits worse must be one that can be seen there."""
 SHOCK = 6.0
@@ -49,6 +53,9 @@ class Watch:
         self._usual = 0.0
         self._misses = 0
         self._duration_s = period_s
+        self._doubts, self._most_doubts = 0, max(1, round(DOUBT_S / period_s))
+        self.doubtful = False
+        """Whether the scan fits so badly on known ground that it may be anywhere that the motion allows."""
         self.since_s = period_s
         """Time from the last good scan to this one."""
         self.elsewhere = False
@@ -96,10 +103,14 @@ class Watch:
             keys: The scans of the local map.
         """
         share = matching.score / self._usual if self._usual > 0.0 else 1.0
+        sight = sight_of(points, matching.pose, keys) if share < SURE else None
+        explained = share if sight is None else share / max(sight.known, LEAST_KNOWN)
+        self._doubts = self._doubts + 1 if explained < DOUBTFUL else 0
+        self.doubtful = 0 < self._doubts <= self._most_doubts
         if self.lost or self.trying or share < (FIT if self._misses == 0 else SURE):
             return False
         sigmas = _sigmas(matching.pose, prior) if share < SURE else 0.0
-        if sigmas > SHOCK or (sigmas > SURPRISE and not sight_of(points, matching.pose, keys).possible):
+        if sigmas > SHOCK or (sigmas > SURPRISE and sight is not None and not sight.possible):
             return False
         self.take(matching)
         return True

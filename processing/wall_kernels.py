@@ -1,47 +1,69 @@
-"""Compiled inner loop that continues the walls of a Normal Distributions Transform past their seen ends.
+"""Compiled inner loop that fills in a wall between two rays that both met it.
 
-At the border of what was seen a scan shows more of a wall than the map has. Each point beyond would count as
-a misfit, and the scan be drawn back along the wall to where fewer are: a robot in a corridor would stand
-still. Arrays as in `processing.ndt_kernels`.
+A laser of a degree between its rays meets the far wall of a corridor metres apart. Between the hits the map
+would know nothing, every point that lands there would count as a misfit, and the scan be drawn to where its
+own pattern of rays was before: a robot in a corridor would stand still.
 """
 
 import numpy as np
 from numba import njit
 
-WALL_INFORMATION = 1.0
-"""Information (1/m^2) along a block under which it is a wall; the least of any other is about twelve."""
+SPACING_M = 0.1
+"""Distance of the points put in, and least gap that is filled."""
+STRAIGHT_M = 0.03
+STRAIGHT = 0.02
+"""How far the next hit may lie off the line of two, and how much more a metre that it is away."""
+LEAST_SLANT = 0.026
+"""Least sine of the angle between ray and wall: what lies along a ray is the edge of something."""
 
 
-@njit("i8(f8[::1], i4[:,:,::1], f8[:,::1], i4[:,::1], i8, i8)", cache=True, nogil=True)
-def continue_walls(origin, slots, normals, blocks, steps, count):
-    """Lay the walls among the first `count` blocks over empty ones ahead of their ends; return the new count.
+@njit("b1(f8[:,::1], i8, f8, f8)", cache=True, nogil=True)
+def slanted(points, i, ux, uy):
+    """Whether a wall along the unit vector (ux, uy) is met by the ray of point i, and not merely grazed."""
+    x, y = points[i, 0], points[i, 1]
+    return bool(abs(x * uy - y * ux) >= LEAST_SLANT * np.hypot(x, y))
 
-    A wall goes on straight for `steps` half cells. Blocks past the capacity are left out.
+
+@njit("b1(f8[:,::1], i8[::1], i8, i8, i8, f8, f8)", cache=True, nogil=True)
+def goes_on(points, rays, count, end, beyond, ux, uy):
+    """Whether the ray beyond the end of a stretch of wall along the unit vector (ux, uy) met it, too."""
+    if beyond < 0 or beyond >= count or abs(rays[beyond] - rays[end]) != 1:
+        return False
+    x, y = points[beyond, 0] - points[end, 0], points[beyond, 1] - points[end, 1]
+    return bool(abs(x * uy - y * ux) <= STRAIGHT_M + STRAIGHT * np.hypot(x, y))
+
+
+@njit("i8(f8[:,::1], i8[::1], i8, f8, f8[:,::1])", cache=True, nogil=True)
+def fill_walls(points, rays, count, most_m, out):
+    """Write the first `count` points (N, 2) of a sweep, laser frame, and more between them; return how many.
+
+    Neighbours up to `most_m` apart are joined where they and the rays on both sides of them met one straight
+    wall. `rays` (N,): number of each point's ray. `out` (M, 2), M >= count, takes as much as it can hold.
     """
-    inv = origin[2]
-    rows, cols = slots.shape[1], slots.shape[2]
-    used = count
-    for step in range(1, steps + 1):
-        for k in range(count):
-            slot = slots[1, blocks[k, 0], blocks[k, 1]]
-            if slot < 0:
-                continue
-            a, b, d = normals[slot, 2], normals[slot, 3], normals[slot, 4]
-            if 0.5 * (a + d) - np.hypot(0.5 * (a - d), b) > WALL_INFORMATION:
-                continue
-            across = 0.5 * np.arctan2(2.0 * b, a - d)
-            for sign in (-1.0, 1.0):
-                u = normals[slot, 0] * inv - sign * np.sin(across) * step
-                v = normals[slot, 1] * inv + sign * np.cos(across) * step
-                # The block whose middle is nearest to that place of the wall.
-                col, row = int(np.floor(u - 0.5)), int(np.floor(v - 0.5))
-                if row < 1 or col < 1 or row >= rows - 2 or col >= cols - 2 or used == normals.shape[0]:
-                    continue
-                if slots[1, row, col] >= 0:
-                    continue
-                slots[1, row, col] = used
-                blocks[used, 0], blocks[used, 1] = row, col
-                for j in range(5):
-                    normals[used, j] = normals[slot, j]
-                used += 1
-    return used
+    written = 0
+    for i in range(count):
+        out[written, 0], out[written, 1] = points[i, 0], points[i, 1]
+        written += 1
+    for i in range(count):
+        if i + 1 == count or rays[i + 1] - rays[i] != 1:
+            continue
+        dx, dy = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
+        gap = np.hypot(dx, dy)
+        if not SPACING_M < gap <= most_m:
+            continue
+        ux, uy = dx / gap, dy / gap
+        if not (
+            slanted(points, i, ux, uy)
+            and goes_on(points, rays, count, i, i - 1, ux, uy)
+            and goes_on(points, rays, count, i + 1, i + 2, ux, uy)
+        ):
+            continue
+        pieces = int(np.ceil(gap / SPACING_M))
+        for k in range(1, pieces):
+            if written < out.shape[0]:
+                out[written, 0], out[written, 1] = (
+                    points[i, 0] + dx * k / pieces,
+                    points[i, 1] + dy * k / pieces,
+                )
+                written += 1
+    return written

@@ -24,6 +24,8 @@ SPAN = 2
 LEAST_WEIGHT = 3.0
 LEAST_SPREAD_M = 0.02
 """No wall is thinner: range noise and the cell's own width."""
+THINNEST_M2 = 1e-6
+"""Variance below which points on a line are as good as none."""
 LONG = 10.0
 STRETCH = 1e4
 """A cell whose long variance is LONG times its short one is a wall: it constrains across itself only, for
@@ -81,9 +83,11 @@ def _normal(
     # Direction of the long axis; any direction if the cell is round.
     angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
     c, s = np.cos(angle), np.sin(angle)
+    # Judged before the floor is laid: else a short piece of wall is a blob, and holds points along the wall.
+    wall = long > LONG * max(short, THINNEST_M2)
     short = max(short, 0.001 * long, LEAST_SPREAD_M**2)
     long = max(long, short)
-    if long > LONG * short:
+    if wall:
         long *= STRETCH
     a, b_ = 1.0 / long, 1.0 / short
     normals[slot, 0], normals[slot, 1] = mx, my

@@ -19,7 +19,7 @@ from processing.dpslam.grid import CELL_M, METRES, STOPS
 from processing.dpslam.loops import Loops
 from processing.dpslam.memory import KeyScans
 from processing.dpslam.population import Population
-from processing.dpslam.proposal import Matrix
+from processing.dpslam.proposal import Matrix, doubted
 from processing.dpslam.resampling import effective_size
 from processing.dpslam.search import Search
 from processing.dpslam.sweep import NOTHING_SEEN, Sweep, Sweeper
@@ -31,6 +31,8 @@ from processing.se2 import Pose
 
 MISFITS = 5
 """Key scans in a row that contradict the own map before the track counts as lost."""
+LOST_S = 0.35
+"""After so much time without a motion that is known the laser counts as lost: about as the matcher has it."""
 _BEAMS = tuple(field.name for field in fields(Beams))
 
 
@@ -72,6 +74,8 @@ class DpSlam:
         self._covariance = np.zeros((3, 3))
         self._search: Search | None = None
         self._strange = True
+        self._unknown_s = 0.0
+        """For how long the matcher has not been able to tell where the laser is."""
         self.fixed = False
         """Whether the maps stay as they are: the laser is followed on them, and nothing is written."""
 
@@ -93,15 +97,16 @@ class DpSlam:
             self._odom = self._key_odom = odom
         if not motion.lost:
             self._covariance = carried(self._covariance, se2.between(self._odom, odom))
-            self._covariance += self.config.motion_doubt**2 * motion.covariance
+            self._covariance += doubted(motion.covariance, self.config.motion_doubt)
             self._odom = odom
         self._trail.add(scan.stamp_ns, odom)
         if strange and self.population.keys:
             self._trail.break_off()
         key_t_laser = se2.between(self._key_odom, odom)
+        self._unknown_s = self._unknown_s + scan.beams.period_s if motion.lost else 0.0
         if motion.lost:
             # It belongs nowhere; the next motion that is known vouches for the way over it.
-            return self._answer(key_t_laser, lost=True)
+            return self._answer(key_t_laser, lost=self._unknown_s >= LOST_S)
         if motion.anew and self.population.keys:
             # What was gathered before is not held together with what comes.
             self._search = Search(self._predicted(key_t_laser) if self._search is None else None)
@@ -183,6 +188,7 @@ class DpSlam:
             "covariance": self._covariance.copy(),
             "particles": np.array(self.config.particles),
             "strange": np.array(self._strange),
+            "unknown_s": np.array(self._unknown_s),
             "fixed": np.array(self.fixed),
         }
         if self._search is not None:
@@ -221,7 +227,7 @@ class DpSlam:
             slam.loops.restore(part("loops"))
         slam._key_odom, slam._odom = state["key_odom_t_laser"].copy(), state["odom_t_laser"].copy()
         slam._covariance, slam._strange = state["covariance"].copy(), bool(state["strange"])
-        slam.fixed = bool(state["fixed"])
+        slam.fixed, slam._unknown_s = bool(state["fixed"]), float(state["unknown_s"])
         if searched := part("search"):
             slam._search = Search.from_state(searched)
         if "beams" in state:

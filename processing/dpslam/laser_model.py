@@ -79,7 +79,7 @@ def stop_probability(stops: float, travelled: float, stretch: float) -> float:
     return float(1.0 - np.exp(-density * stretch))
 
 
-@njit(f"f8({_STORE}, i4[:,:,::1], i8, i8, i8, f8[:,::1], i8, b1)", cache=True, nogil=True)
+@njit(f"f8({_STORE}, i4[:,:,::1], i8, i8, i8, f8[:,::1], i8, b1, f8)", cache=True, nogil=True)
 def _likelihood(
     store: Arrays,
     table: Table,
@@ -89,6 +89,7 @@ def _likelihood(
     rays_map: NDArray[np.float64],
     i: int,
     whole: bool,
+    unseen: float,
 ) -> float:
     """Return the likelihood of ray i; see `score_rays`."""
     cells = store[0]
@@ -112,6 +113,7 @@ def _likelihood(
     tile_row, tile_col, tile = NOWHERE, NOWHERE, NONE
     at = depth = likelihood = 0.0
     through = -1.0
+    frontier = False
     while True:
         last = next_x >= 1.0 and next_y >= 1.0
         until = 1.0 if last else min(next_x, next_y)
@@ -120,9 +122,10 @@ def _likelihood(
             tile = NONE
             if 0 <= tile_row - first_row < rows and 0 <= tile_col - first_col < cols:
                 tile = table[particle, tile_row - first_row, tile_col - first_col]
-        density = PRIOR_DENSITY
+        density, seen = PRIOR_DENSITY, False
         if tile != NONE:
             k = ((row & (TILE - 1)) * TILE + (col & (TILE - 1))) * 2
+            seen = cells[tile, k + 1] != 0
             density = (cells[tile, k] * _STOPS_PER_METRES + _PRIOR_STOPS) / (
                 cells[tile, k + 1] + _PRIOR_METRES
             )
@@ -135,6 +138,9 @@ def _likelihood(
             passed = through * np.exp(-thick)
             near *= near
             near *= near
+            if not (seen or frontier):
+                frontier = True
+                likelihood += unseen * through * (near * near if off > 0.0 else 1.0)
             likelihood += (through - passed) * (near * near)
             through = passed
         else:
@@ -151,7 +157,7 @@ def _likelihood(
     return float(FLOOR + likelihood)
 
 
-@njit(f"f8({_STORE}, i4[:,:,::1], i8, i8, i8, f8[:,::1], i8, i8, b1)", cache=True, nogil=True)
+@njit(f"f8({_STORE}, i4[:,:,::1], i8, i8, i8, f8[:,::1], i8, i8, b1, f8, f8)", cache=True, nogil=True)
 def score_rays(
     store: Arrays,
     table: Table,
@@ -162,14 +168,19 @@ def score_rays(
     begin: int,
     every: int,
     whole: bool,
+    unseen: float,
+    most: float,
 ) -> float:
     """Return the log-likelihood of rays `begin`, `begin + every`, ... in one particle's map.
 
     `whole`: walk from the laser; else only the stretch around the reading, as if the way there were free.
+    `unseen`: what a ray gains by coming to space that nobody has looked into where it was read, or before.
+    `most`: likelihoods above it count as that much.
     """
     total = 0.0
     for i in range(begin, rays_map.shape[0], every):
-        total += np.log(_likelihood(store, table, particle, first_row, first_col, rays_map, i, whole))
+        likelihood = _likelihood(store, table, particle, first_row, first_col, rays_map, i, whole, unseen)
+        total += np.log(min(likelihood, most))
     return total
 
 
@@ -190,5 +201,5 @@ def judge_rays(
         if tile == NONE or store[0][tile, ((row & (TILE - 1)) * TILE + (col & (TILE - 1))) * 2 + 1] == 0:
             continue
         known += 1
-        total += np.log(_likelihood(store, table, particle, first_row, first_col, rays_map, i, True))
+        total += np.log(_likelihood(store, table, particle, first_row, first_col, rays_map, i, True, 0.0))
     return known / max(rays_map.shape[0], 1), total / max(known, 1)

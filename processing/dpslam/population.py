@@ -12,7 +12,7 @@ from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.grid import TileStore
 from processing.dpslam.laser_model import judge_rays, place_rays
 from processing.dpslam.memory import KeyScans
-from processing.dpslam.proposal import Matrix, noise_root, priors
+from processing.dpslam.proposal import Matrix, held, noise_root, priors
 from processing.dpslam.resampling import effective_size, normalise, systematic_parents
 from processing.dpslam.sweep import Sweep
 from processing.scan import Beams
@@ -25,11 +25,15 @@ CHEAP_EVERY = 3
 NEGLIGIBLE = 13.0
 """Particles whose log weight is so far under the best after the cheap scoring are not scored in full."""
 
-FAITH = 1.0
+FAITH = 4.0
 """The best particle stays it until another one's log weight is so much higher: maps do not flicker."""
 
 ARRIVAL = np.array((0.02, 0.02, 0.01))
 """How well a place found on the map is known, one sigma; m, m, rad."""
+BLIND_MOST = 0.25
+"""Likelihood from which a ray goes well together with the map, where a direction is not seen."""
+NEUTRAL, NEUTRAL_RAYS = -0.7, 10.0
+"""Log-likelihood of a ray that ends on known ground, until so many rays have told."""
 KNOWN = 0.3
 MISFIT = -2.7
 """A scan of which the share KNOWN of the rays ends where the map knows something contradicts it if those rays
@@ -69,11 +73,13 @@ class Population:
         """
         random = np.random.Generator(np.random.Philox(key=self.seed, counter=(0, 0, 0, self.keys)))
         normal, uniform = random.standard_normal(self.poses.shape), float(random.random())
+        # One goes where the motion says: where the map does not see, nothing is more likely.
+        normal[self.best] = 0.0
         root = noise_root(covariance)
         predicted = np.ascontiguousarray(se2.compose(se2.compose(self.poses, key_t_laser), normal @ root.T))
-        self._refine(sweep, predicted, root)
+        blind = self._refine(sweep, predicted, root)
         rays = sweep.rays[:: max(1, len(sweep.rays) // self.config.rays)].copy()
-        self._weigh(rays)
+        self._weigh(rays, blind)
         heaviest = int(np.argmax(self.log_weights))
         if self.log_weights[heaviest] > self.log_weights[self.best] + FAITH:
             self.best = heaviest
@@ -159,31 +165,50 @@ class Population:
         self.poses, self.log_weights = state["poses"].copy(), state["log_weights"].copy()
         self.seed, self.best, self.keys, self.misfits = (int(v) for v in state["counts"])
 
-    def _refine(self, sweep: Sweep, predicted: Pose, root: Matrix) -> None:
+    def _refine(self, sweep: Sweep, predicted: Pose, root: Matrix) -> bool:
+        """Lay each particle on its own map; return whether most of their weight does not see a direction."""
         c = self.config
         ties = priors(root, c.prior_m, c.prior_rad, predicted[:, 2])
         information, results = np.empty((c.particles, 3, 3)), np.empty((c.particles, 2))
         poses = np.empty_like(predicted)
         kernels.refine_all(*self.store.maps, sweep.points, predicted, ties, GAIN, poses, information, results)
-        self.poses = poses
+        self.poses, blind = held(poses, predicted, information / GAIN)
+        return bool(blind @ np.exp(self.log_weights) > 0.5)
 
     def _judge(self, rays: NDArray[np.float64]) -> None:
         """Count the key scans in a row that contradict the best particle's map."""
-        placed = np.empty_like(rays)
-        place_rays(self.poses[self.best], rays, placed)
-        known, fit = judge_rays(*self.store.maps[:2], self.best, *self.store.maps[2:], placed)
+        known, fit = self._known(rays)
         self.misfits = self.misfits + 1 if known >= KNOWN and fit < MISFIT else 0
 
-    def _weigh(self, rays: NDArray[np.float64]) -> None:
+    def _weigh(self, rays: NDArray[np.float64], blind: bool) -> None:
         c = self.config
         chosen = np.ones(c.particles, dtype=np.uint8)
         cheap, full = np.zeros(c.particles), np.zeros(c.particles)
-        kernels.weigh_all(*self.store.maps, rays, self.poses, CHEAP_EVERY, False, chosen, cheap)
+        # A wall that is known better tells only how often the laser was here: blind, contradictions count.
+        unseen, most = (BLIND_MOST, BLIND_MOST) if blind else (self._usual(rays), np.inf)
+        kernels.weigh_all(*self.store.maps, rays, self.poses, CHEAP_EVERY, False, unseen, most, chosen, cheap)
         estimate = self.log_weights + c.tempering * CHEAP_EVERY * cheap
         chosen = (estimate >= estimate.max() - NEGLIGIBLE).astype(np.uint8)
-        kernels.weigh_all(*self.store.maps, rays, self.poses, 1, True, chosen, full)
+        kernels.weigh_all(*self.store.maps, rays, self.poses, 1, True, unseen, most, chosen, full)
         survivors = self.log_weights + c.tempering * full
         self.log_weights = normalise(np.where(chosen, survivors, -1e300))
+
+    def _usual(self, rays: NDArray[np.float64]) -> float:
+        """Return the usual likelihood of a ray that ends on known ground, by the best particle's map.
+
+        A ray into the unseen counts as much: else particles that lag behind outweigh those that go on.
+        """
+        known, fit = self._known(rays)
+        count = known * len(rays)
+        return float(np.exp((count * fit + NEUTRAL_RAYS * NEUTRAL) / (count + NEUTRAL_RAYS)))
+
+    def _known(self, rays: NDArray[np.float64]) -> tuple[float, float]:
+        """Return the share of the rays that end on ground the best particle knows, and how well they fit."""
+        placed = np.empty_like(rays)
+        place_rays(self.poses[self.best], rays, placed)
+        maps = self.store.maps
+        known, fit = judge_rays(*maps[:2], self.best, *maps[2:], placed)
+        return float(known), float(fit)
 
     def _select(self, parents: NDArray[np.int32]) -> None:
         if parents[self.best] != self.best:

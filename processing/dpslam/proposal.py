@@ -3,13 +3,31 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.observability import BLIND_M
+from processing.se2 import Pose
+
 Matrix = NDArray[np.float64]
 
 NOISE_M = 0.005
 NOISE_RAD = 0.002
 """Least noise of a predicted motion: no matcher is better than its points."""
+WIDE_M = 0.05
+"""Deviation of the way to one scan that needs no more doubt."""
 MOST_NOISE = np.array((0.5, 0.5, 0.3))
 """Noise beyond which a motion is as good as unknown; m, m, rad."""
+
+
+def doubted(covariance: Matrix, doubt: float) -> Matrix:
+    """Return the covariance (3, 3) of a motion whose deviations may be `doubt` times what is claimed.
+
+    A direction that is not seen is claimed wide enough as it is.
+    """
+    values, vectors = np.linalg.eigh(covariance[:2, :2])
+    spread = np.sqrt(np.maximum(values, 1e-12))
+    grow = np.eye(3)
+    grow[:2, :2] = (vectors * np.clip(WIDE_M / spread, 1.0, doubt)) @ vectors.T
+    grow[2, 2] = doubt
+    return np.asarray(grow @ covariance @ grow.T)
 
 
 def noise_root(covariance: Matrix) -> Matrix:
@@ -34,3 +52,28 @@ def priors(root: Matrix, prior_m: float, prior_rad: float, yaw_rad: NDArray[np.f
     turn = np.zeros((len(yaw_rad), 3, 3))
     turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, -s, s, c, 1.0
     return np.ascontiguousarray(turn @ np.linalg.inv(trust) @ turn.transpose(0, 2, 1))
+
+
+def held(refined: Pose, predicted: Pose, information: Matrix) -> tuple[Pose, NDArray[np.bool_]]:
+    """Return refined poses (P, 3) with the predicted position along what the own map does not see.
+
+    As in the odometry (`observability`): the slope of the score there is the edge of the map, and pulls back.
+
+    Args:
+        refined: (P, 3) map_t_laser.
+        predicted: (P, 3) by the motion.
+        information: (P, 3, 3) of the refinement, map axes, one unit a point that fits; without the prior.
+    """
+    shared = information[:, :2, 2]
+    # What is left of the position's information when the yaw is not known.
+    alone = np.maximum(information[:, 2, 2], 1e-9)[:, None, None]
+    position = information[:, :2, :2] - shared[:, :, None] * shared[:, None, :] / alone
+    values, vectors = np.linalg.eigh(position)
+    unseen = values < 1.0 / BLIND_M**2
+    blind = np.asarray(unseen.any(axis=1))
+    if not blind.any():
+        return refined, blind
+    along = np.einsum("pij,pi->pj", vectors, refined[:, :2] - predicted[:, :2]) * unseen
+    poses = refined.copy()
+    poses[:, :2] -= np.einsum("pij,pj->pi", vectors, along)
+    return poses, blind

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from runtime.formats.errors import FormatError
 from runtime.formats.laser_log import LaserLog
-from runtime.formats.text import ScanTable, lines_of, numbers, stamp_ns, whole_number
+from runtime.formats.text import SICK_S_PER_RAD, ScanTable, lines_of, numbers, stamp_ns, whole_number
 
 MESSAGES = ("FLASER", "ROBOTLASER1")
 _WORDS = (
@@ -27,6 +27,12 @@ _ROBOTLASER_TAIL = 14  # two poses, tv, rv, two safety distances, turn axis, ipc
 def looks_like(line: str) -> bool:
     """Whether a first line belongs to this format."""
     return line.startswith(_WORDS)
+
+
+def time_increment_s(count: int, step_rad: float) -> float:
+    """Return the time from ray to ray, which these logs do not tell: a SICK LMS's for a half circle."""
+    half_circle = math.isclose(step_rad * max(count - count % 2, 1), FIELD_OF_VIEW_RAD, rel_tol=1e-6)
+    return SICK_S_PER_RAD * step_rad if half_circle else 0.0
 
 
 def read_carmen(path: Path) -> LaserLog:
@@ -57,6 +63,7 @@ def _read_flaser(path: Path, lines: list[tuple[int, list[str]]]) -> LaserLog:
         angle_min_rad=-FIELD_OF_VIEW_RAD / 2,
         angle_increment_rad=FIELD_OF_VIEW_RAD / steps,
         range_max_m=NO_ECHO_M,
+        time_increment_s=time_increment_s(count, FIELD_OF_VIEW_RAD / steps),
     )
 
 
@@ -86,7 +93,12 @@ def _read_robotlaser(path: Path, lines: list[tuple[int, list[str]]]) -> LaserLog
         rule = f"start angle {start_rad}, resolution {step_rad} rad, must be a fan of rays"
         raise FormatError(path, rule, lines[0][0])
     no_echo_m = min(max_m, NO_ECHO_M) if max_m > 0.0 else NO_ECHO_M
-    return table.finish(angle_min_rad=start_rad, angle_increment_rad=step_rad, range_max_m=no_echo_m)
+    return table.finish(
+        angle_min_rad=start_rad,
+        angle_increment_rad=step_rad,
+        range_max_m=no_echo_m,
+        time_increment_s=time_increment_s(count, step_rad),
+    )
 
 
 def _check_length(path: Path, line: int, name: str, found: int, expected: int) -> None:

@@ -3,6 +3,7 @@
 import bz2
 import gzip
 import io
+import math
 import zlib
 from collections.abc import Iterator
 from decimal import Decimal, InvalidOperation
@@ -91,6 +92,11 @@ def whole_number(path: Path, line: int, text: str, what: str) -> int:
     return int(text)
 
 
+SICK_S_PER_RAD = 1.0 / 75.0 / math.tau
+"""The mirror of a SICK LMS, the scanner of a half circle of its time, turns 75 times a second; the logs do
+not say. At half a degree every second ray is of the turn before, which delays all stretches alike."""
+
+
 class ScanTable:
     """Collects the scans of a text log and makes the log of them."""
 
@@ -131,7 +137,15 @@ class ScanTable:
         time_increment_s: float = 0.0,
         range_min_m: float = 0.02,
     ) -> LaserLog:
-        """Return the log; FormatError if it holds no scan."""
+        """Return the log; FormatError if it holds no scan.
+
+        Args:
+            angle_min_rad: Bearing of the first ray.
+            angle_increment_rad: From ray to ray.
+            range_max_m: Readings of so much mean that nothing came back.
+            time_increment_s: From ray to ray.
+            range_min_m: Least reading.
+        """
         if not self._rows:
             raise FormatError(self._path, f"0 scans found, a {self._kind} log must hold at least 1")
         stamps_ns = np.array(self._stamps, dtype=np.int64)

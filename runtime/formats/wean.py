@@ -5,7 +5,7 @@ from pathlib import Path
 
 from runtime.formats.errors import FormatError
 from runtime.formats.laser_log import LaserLog
-from runtime.formats.text import ScanTable, lines_of, numbers, stamp_ns
+from runtime.formats.text import SICK_S_PER_RAD, ScanTable, lines_of, numbers, stamp_ns
 
 BEAMS = 180
 STEP_RAD = math.pi / BEAMS
@@ -34,4 +34,9 @@ def read_wean(path: Path) -> LaserLog:
         if tokens[0] == "L":
             ranges_cm = numbers(path, line, tokens[7:-1], "range")
             table.add(line, stamp_ns(path, line, tokens[-1]), [value / 100 for value in ranges_cm])
-    return table.finish(angle_min_rad=-math.pi / 2, angle_increment_rad=STEP_RAD, range_max_m=NO_ECHO_M)
+    return table.finish(
+        angle_min_rad=-math.pi / 2,
+        angle_increment_rad=STEP_RAD,
+        range_max_m=NO_ECHO_M,
+        time_increment_s=SICK_S_PER_RAD * STEP_RAD,
+    )

@@ -49,8 +49,9 @@ def write_carmen(path: Path, log: LaserLog) -> list[str]:
                 head = f"ROBOTLASER1 0 {fan} {_shortest(limit_m)} 0.01 0 {g.count}"
                 file.write(f"{head} {readings} 0 0 0 0 0 0 0 0 0 0 0 0 {tail}")
     lost = ["the period, which is estimated again from the stamps"]
-    if g.time_increment_s:
-        lost.append(f"time_increment = {g.time_increment_s:g} s: scans are not set right by time any more")
+    read_s = carmen.time_increment_s(g.count, g.angle_increment_rad)
+    if not math.isclose(g.time_increment_s, read_s, rel_tol=1e-3):
+        lost.append(f"time_increment = {g.time_increment_s:g} s, which is read as {read_s:g} s")
     if half_circle:
         lost.append(f"range limits {g.range_min_m:g} .. {g.range_max_m:g} m")
     if too_far:

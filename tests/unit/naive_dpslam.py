@@ -14,7 +14,7 @@ from processing import se2
 from processing.dpslam import alignment, laser_model, population, writing
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.grid import BLOCK, BLOCK_M, CELL_M, METRES, PLACES, STOPS
-from processing.dpslam.proposal import noise_root, priors
+from processing.dpslam.proposal import doubted, held, noise_root, priors
 from processing.dpslam.sweep import Sweeper
 from processing.motion import carried
 
@@ -95,7 +95,7 @@ class NaiveMap:
                     stops, metres = int(stops * (memory / seen)), int(metres * (memory / seen))
                 cell[0], cell[1] = stops, min(metres, int(memory * CELL_M * METRES))
 
-    def log_likelihood(self, rays_map, every, whole):
+    def log_likelihood(self, rays_map, every, whole, unseen=0.0, most=math.inf):
         m = laser_model
         total = 0.0
         for x0, y0, x1, y1 in rays_map[::every]:
@@ -105,7 +105,7 @@ class NaiveMap:
             length = reading + m.NEAR_M - start
             ends = (x0 + start * dx, y0 + start * dy, x0 + (start + length) * dx, y0 + (start + length) * dy)
             depth = likelihood = 0.0
-            through = None
+            through, frontier = None, False
             for col, row, at, until, _last in cells_of(*(v * 20.0 for v in ends)):
                 stops, metres = (int(v) for v in self.cells[row + HALF, col + HALF, :2])
                 units = METRES / STOPS
@@ -120,6 +120,9 @@ class NaiveMap:
                     passed = through * math.exp(-thick)
                     near *= near
                     near *= near
+                    if metres == 0 and not frontier:
+                        frontier = True
+                        likelihood += unseen * through * (near * near if off > 0.0 else 1.0)
                     likelihood += (through - passed) * (near * near)
                     through = passed
                 elif through is not None:
@@ -128,18 +131,22 @@ class NaiveMap:
                     depth += thick
                     if depth > m.OPAQUE:
                         break
-            total += math.log(m.FLOOR + likelihood)
+            total += math.log(min(m.FLOOR + likelihood, most))
         return total
 
-    def contradicts(self, rays_map):
-        """Whether many rays end where the map knows something, and does not know it so."""
+    def known(self, rays_map):
+        """Share of the rays that end where the map knows something, and their mean log-likelihood."""
         known = []
         for ray in rays_map:
             col, row = math.floor(ray[2] * 20.0), math.floor(ray[3] * 20.0)
             if self.cells[row + HALF, col + HALF, 1] > 0:
                 known.append(self.log_likelihood([ray], 1, True))
-        share = len(known) / len(rays_map)
-        return share >= population.KNOWN and sum(known) / len(known) < population.MISFIT
+        return len(known) / len(rays_map), sum(known) / max(len(known), 1)
+
+    def contradicts(self, rays_map):
+        """Whether many rays end where the map knows something, and does not know it so."""
+        share, fit = self.known(rays_map)
+        return share >= population.KNOWN and fit < population.MISFIT
 
     def block(self, row, col):
         """Moments of the occupied cells of one block, in single precision as the store keeps them."""
@@ -181,17 +188,19 @@ class NaiveMap:
         long, short = middle + half, max(middle - half, 0.0)
         angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
         c, s = math.cos(angle), math.sin(angle)
+        wall = long > alignment.LONG * max(short, alignment.THINNEST_M2)
         short = max(short, 0.001 * long, alignment.LEAST_SPREAD_M * alignment.LEAST_SPREAD_M)
         long = max(long, short)
-        if long > alignment.LONG * short:
+        if wall:
             long *= alignment.STRETCH
         a, b = 1.0 / long, 1.0 / short
         return mx, my, a * c * c + b * s * s, (a - b) * c * s, a * s * s + b * c * c
 
     def align(self, points, predicted, prior, gain):
+        """Pose (3,) of the optimum, and the information (3, 3) of the scan near it."""
         normals = {}
         pose = [float(v) for v in predicted]
-        for _ in range(alignment.ITERATIONS):
+        for iteration in range(alignment.ITERATIONS + 1):
             c, s = math.cos(pose[2]), math.sin(pose[2])
             g, h = [0.0] * 3, [0.0] * 6
             for x, y in points.tolist():
@@ -218,12 +227,15 @@ class NaiveMap:
                         terms = (e * n[2], e * n[3], e * n[4], e * ax, e * ay, e * (-ry * ax + rx * ay))
                         for index, value in enumerate(terms):
                             h[index] += value
+            if iteration == alignment.ITERATIONS:
+                break
             step = _newton(pose, predicted, prior, gain, g, h)
             pose = [p + d for p, d in zip(pose, step, strict=True)]
             if abs(step[0]) < 1e-4 and abs(step[1]) < 1e-4 and abs(step[2]) < 1e-5:
                 break
         pose[2] = (pose[2] + math.pi) % (2.0 * math.pi) - math.pi
-        return np.array(pose)
+        rows = ((h[0], h[1], h[3]), (h[1], h[2], h[4]), (h[3], h[4], h[5]))
+        return np.array(pose), gain * np.array(rows)
 
 
 def _newton(pose, predicted, prior, gain, g, h):
@@ -267,7 +279,7 @@ class NaiveDpSlam:
         else:
             step = se2.between(self.odom, odom)
             self.covariance = carried(self.covariance, step)
-            self.covariance += self.config.motion_doubt**2 * motion.covariance
+            self.covariance += doubted(motion.covariance, self.config.motion_doubt)
         first, self.odom = self.odom is None, odom
         moved = se2.between(self.key_odom, odom)
         c = self.config
@@ -302,22 +314,30 @@ class NaiveDpSlam:
         count = c.particles
         random = np.random.Generator(np.random.Philox(key=self.seed, counter=(0, 0, 0, self.keys)))
         normal, uniform = random.standard_normal((count, 3)), random.random()
+        normal[self.best] = 0.0
         root = noise_root(self.covariance)
         predicted = se2.compose(se2.compose(self.poses, moved), normal @ root.T)
         ties = priors(root, c.prior_m, c.prior_rad, predicted[:, 2])
-        self.poses = np.stack(
-            [
-                own_map.align(sweep.points, pose, prior, population.GAIN)
-                for own_map, pose, prior in zip(self.maps, predicted, ties, strict=True)
-            ]
-        )
+        aligned = [
+            own_map.align(sweep.points, pose, prior, population.GAIN)
+            for own_map, pose, prior in zip(self.maps, predicted, ties, strict=True)
+        ]
+        poses, informations = (np.stack(parts) for parts in zip(*aligned, strict=True))
+        self.poses, blind = held(poses, predicted, informations / population.GAIN)
         rays = sweep.rays[:: max(1, len(sweep.rays) // c.rays)]
         seen = [placed(pose, rays) for pose in self.poses]
-        cheap = np.array([m.log_likelihood(r, 3, False) for m, r in zip(self.maps, seen, strict=True)])
+        if blind @ np.exp(self.log_weights) > 0.5:
+            allowed = (population.BLIND_MOST, population.BLIND_MOST)
+        else:
+            share, fit = self.maps[self.best].known(seen[self.best])
+            known, few = share * len(rays), population.NEUTRAL_RAYS
+            allowed = (float(np.exp((known * fit + few * population.NEUTRAL) / (known + few))), math.inf)
+        pairs = list(zip(self.maps, seen, strict=True))
+        cheap = np.array([own_map.log_likelihood(r, 3, False, *allowed) for own_map, r in pairs])
         estimate = self.log_weights + c.tempering * 3.0 * cheap
         weights = np.full(count, -1e300)
         for i in np.flatnonzero(estimate >= estimate.max() - population.NEGLIGIBLE):
-            full = self.maps[i].log_likelihood(seen[i], 1, True)
+            full = self.maps[i].log_likelihood(seen[i], 1, True, *allowed)
             weights[i] = self.log_weights[i] + c.tempering * full
         peak = weights.max()
         self.log_weights = weights - (peak + np.log(np.exp(weights - peak).sum()))

@@ -31,9 +31,10 @@ def write(rays, memory=100.0):
     return store
 
 
-def score(store, rays, whole=True):
+def score(store, rays, whole=True, unseen=0.0, most=np.inf):
     e = store.extent
-    return score_rays(store.arrays, store.table, 0, e.first_row, e.first_col, np.array(rays), 0, 1, whole)
+    place = (store.arrays, store.table, 0, e.first_row, e.first_col)
+    return score_rays(*place, np.array(rays), 0, 1, whole, unseen, most)
 
 
 def cells_of(store):
@@ -207,3 +208,24 @@ def test_key_scans_written_at_once_are_those_written_one_by_one():
         kernels.write_all(*one.maps, own, path[k : k + 1].copy(), 60.0, 0)
     kernels.write_path(*many.maps, rays, ends, path, 60.0, 0)
     assert np.array_equal(one.dense(0)[0], many.dense(0)[0])
+
+
+def test_a_ray_into_the_unseen_gains_what_is_given_for_it():
+    store = write([(0.0, 0.02, 1.02, 0.02)] * 30)
+    beyond = [(0.0, 0.02, 0.02, 2.0)]
+    plain = np.exp(score(store, beyond))
+    # Nothing is known all the way: the ray comes through the prior density to where it was read.
+    through = np.exp(-PRIOR_DENSITY * (2.0 - NEAR_M))
+    assert np.exp(score(store, beyond, unseen=0.5)) == pytest.approx(plain + 0.5 * through, rel=0.05)
+    # One that ends on a wall gains nothing but what comes through the wall.
+    wall = [(0.0, 0.02, 1.02, 0.02)]
+    assert score(store, wall, unseen=0.5) == pytest.approx(score(store, wall), abs=0.05)
+
+
+def test_where_only_contradictions_count_a_wall_is_as_good_as_the_unseen():
+    store = write([(0.0, 0.02, 1.02, 0.02)] * 30)
+    wall, beyond, through = (0.0, 0.02, 1.02, 0.02), (0.0, 0.02, 0.02, 2.0), (0.0, 0.02, 2.0, 0.02)
+    allowed = {"unseen": 0.25, "most": 0.25}
+    assert score(store, [wall], **allowed) == pytest.approx(np.log(0.25))
+    assert score(store, [beyond], **allowed) > np.log(0.15)
+    assert score(store, [through], **allowed) < np.log(0.05)

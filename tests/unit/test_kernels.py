@@ -61,8 +61,9 @@ TWINS = {
         "spreads": "unit/test_certainty.py::test_the_spreads_are_the_sums_over_single_points",
     },
     "wall_kernels": {
-        "continue_walls": "unit/test_ndt.py::test_a_wall_goes_on_past_its_seen_end_but_a_heap_does_not",
+        "": "unit/test_walls.py::test_the_compiled_filling_is_the_plain_one",
     },
+    "sight_kernels": {"": "unit/test_sightlines.py::test_the_compiled_look_back_is_the_plain_one"},
     "ndt_kernels": {
         "accumulate": SCORE,
         "fit": SCORE,
@@ -203,14 +204,14 @@ def reference(seed):
             rng.normal((0.6, 0.3), 0.15, (50, 2)),
         )
     )
-    ndt = Ndt(NdtConfig(continued=0))
+    ndt = Ndt(NdtConfig())
     ndt.build(points)
     return ndt, points
 
 
 def test_the_score_of_a_point_is_that_of_four_plain_grids():
     ndt, points = reference(1)
-    plain = naive.Ndt(points, NdtConfig(continued=0))
+    plain = naive.Ndt(points, NdtConfig())
     rng = np.random.default_rng(2)
     for point in points[::10] + rng.normal(0.0, 0.02, (30, 2)):
         u, v = point - ndt.origin[:2]

@@ -200,7 +200,8 @@ def test_information_counts_the_points_and_their_weight():
     prior = Prior(np.zeros(3), 1e9 * np.eye(3))
     one = Matcher(MatchingConfig(), 1).match(ROOM, reference, prior)
     twice = Matcher(MatchingConfig(), 1).match(np.concatenate((ROOM, ROOM)), reference, prior)
-    heavy = Matcher(MatchingConfig(score_weight=2.0), 1).match(ROOM, reference, prior)
+    double = 2.0 * MatchingConfig().score_weight
+    heavy = Matcher(MatchingConfig(score_weight=double), 1).match(ROOM, reference, prior)
     np.testing.assert_allclose(twice.information, 2.0 * one.information, rtol=1e-3, atol=1.0)
     np.testing.assert_allclose(heavy.information, 2.0 * one.information, rtol=1e-3, atol=1.0)
     assert twice.score == pytest.approx(one.score, abs=1e-4) == pytest.approx(heavy.score, abs=1e-4)

@@ -16,11 +16,11 @@ naive = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(naive)
 
 CONFIGS = [
-    NdtConfig(continued=0),
-    NdtConfig(continued=0, flat_stretch=1.0),
-    NdtConfig(continued=0, cell_m=1.0, min_points=5, min_deviation_m=0.05, flat_ratio=0.3, flat_stretch=20.0),
+    NdtConfig(),
+    NdtConfig(flat_stretch=1.0),
+    NdtConfig(cell_m=1.0, min_points=5, min_deviation_m=0.05, flat_ratio=0.3, flat_stretch=20.0),
     # The least ratio of the variances decides before a cell counts as flat.
-    NdtConfig(continued=0, min_ratio=0.1, flat_ratio=0.02),
+    NdtConfig(min_ratio=0.1, flat_ratio=0.02),
 ]
 HERE = np.zeros(3)
 
@@ -39,7 +39,7 @@ def poses(rng, count):
 
 
 def built(points, config=None):
-    ndt = Ndt(config or NdtConfig(continued=0))
+    ndt = Ndt(config or NdtConfig())
     ndt.build(points)
     return ndt
 
@@ -74,7 +74,7 @@ def differences(score, pose, step):
 def test_gradient_and_hessian_are_the_differences_of_the_score_at_fixed_weights(seed, blur_m2):
     rng = np.random.default_rng(seed)
     reference, points = furnished_room(rng), furnished_room(rng, 60)
-    config = NdtConfig(continued=0)
+    config = NdtConfig()
     plain = naive.Ndt(reference, config)
     pose = poses(rng, 1)[0]
 
@@ -216,25 +216,6 @@ def test_a_wall_constrains_across_itself_and_not_along(angle_rad):
     # Without the stretch, the ends of the pieces would hold the wall.
     kept = built(wall, NdtConfig(flat_stretch=1.0)).score(points, HERE).information[:2, :2]
     assert along @ kept @ along > 3.0 * (along @ information @ along)
-
-
-def test_a_wall_goes_on_past_its_seen_end_but_a_heap_does_not():
-    rng = np.random.default_rng(2)
-    wall = np.column_stack((np.linspace(0.05, 1.95, 40), 0.01 * rng.normal(size=40)))
-    heap = np.array((0.6, 3.6)) + 0.1 * rng.normal(size=(40, 2))
-    points = np.concatenate((wall, heap))
-    on, beside = np.array(((2.3, 0.0),)), np.array(((2.3, 0.3),))
-    ended, going_on = built(points, NdtConfig(continued=0)), built(points, NdtConfig(continued=2))
-    assert ended.score(on, HERE).value < 0.05
-    assert going_on.score(on, HERE).value > 0.5
-    assert going_on.sampled_score(on, HERE) > 0.25
-    assert going_on.score(beside, HERE).value < 0.05
-    # Half a metre farther on nothing was ever seen, nor around the heap.
-    for place in ((2.9, 0.0), (-0.9, 0.0), (0.6, 2.9), (0.6, 4.3), (-0.2, 3.6), (1.4, 3.6)):
-        assert going_on.score(np.array((place,)), HERE).value < 0.05
-    # What was seen stays as it was.
-    inside = rng.uniform((0.3, -0.1), (1.7, 0.1), (50, 2))
-    assert going_on.score(inside, HERE).value == pytest.approx(ended.score(inside, HERE).value)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from drivers.world.drive import simulate_scans
 from drivers.world.generators import corridor, room
 from drivers.world.laser import Urg04lx
-from processing.observability import BLIND_M, view, widened
+from processing.observability import BLIND_M, SPEED_ERROR_M_S, UNSEEN_SPEED_M_S, Blindness, view
 from processing.odometry import LaserOdometry, OdometryConfig, Tracking
 from processing.scan import Beams, Scan
 
@@ -52,10 +52,22 @@ def test_the_motion_is_held_along_the_corridor_and_corrected_across_it():
 
 
 def test_the_covariance_is_wide_along_and_only_along():
-    wide = widened(np.diag((1e-5, 2e-5, 1e-6)), np.array(((0.0, 1.0),)), 0.1)
+    wide = Blindness().widened(np.diag((1e-5, 2e-5, 1e-6)), np.array(((0.0, 1.0),)), 0.1)
     assert wide[0, 0] == pytest.approx(1e-5)
-    assert wide[1, 1] > 0.1**2
+    assert wide[1, 1] == pytest.approx((0.1 * UNSEEN_SPEED_M_S) ** 2)
     assert wide[2, 2] == pytest.approx(1e-6)
+
+
+def test_an_error_of_the_velocity_adds_up_along_the_way_until_it_is_seen_again():
+    exact, along, none = np.zeros((3, 3)), np.array(((1.0, 0.0),)), np.zeros((0, 2))
+    blindness = Blindness()
+    strayed = [sum(blindness.widened(exact, along, 0.1)[0, 0] for _ in range(30)) for _ in range(2)]
+    # Three seconds of it, and twice as far after six.
+    assert np.sqrt(strayed[0]) == pytest.approx(3.0 * UNSEEN_SPEED_M_S)
+    assert np.sqrt(sum(strayed)) == pytest.approx(6.0 * UNSEEN_SPEED_M_S)
+    np.testing.assert_array_equal(blindness.widened(exact, none, 0.1), exact)
+    # Once it was seen it is known better, and a blink costs nearly nothing.
+    assert np.sqrt(blindness.widened(exact, along, 0.1)[0, 0]) == pytest.approx(0.1 * SPEED_ERROR_M_S)
 
 
 def drive(building, most, **options):

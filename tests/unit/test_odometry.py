@@ -208,7 +208,9 @@ def test_kidnapped_to_another_room_of_the_map_it_is_found_there_and_the_map_wait
     again, _ = drive(420, seed=5)
     steps = go_on(slam, again[60:280])
     lost = [k for k, step in enumerate(steps) if step.mapping.lost]
-    assert lost[0] <= 1
+    # Within half a second; nothing is written meanwhile.
+    assert lost[0] <= 4
+    assert not any(step.mapping.updated for step in steps[: lost[0]])
     found = lost[-1] + 1
     assert lost == list(range(lost[0], found))
     assert 35 < found < 160
@@ -227,6 +229,6 @@ def test_carried_off_the_map_it_writes_no_walls_and_is_lost_until_it_comes_back(
     before = slam.occupancy().probability
     elsewhere, _ = drive(100, building=room(4.5, 3.2))
     steps = go_on(slam, elsewhere)
-    assert all(step.mapping.lost for step in steps[1:])
+    assert all(step.mapping.lost for step in steps[4:])
     assert not any(step.mapping.updated for step in steps)
     np.testing.assert_array_equal(slam.occupancy().probability, before)

@@ -144,25 +144,31 @@ def test_a_hand_before_the_laser_and_a_few_points_are_no_view():
     assert not covered(corner())
 
 
+def sight(points, place, walls, earlier):
+    """What one earlier scan, or none, says of a scan at a place."""
+    ends, poses = ([], np.zeros((0, 3))) if earlier is None else ([len(walls)], earlier[None])
+    return judge(points, place, walls, np.array(ends, dtype=np.int64), poses)
+
+
 def test_a_place_behind_a_wall_is_none():
     here, wall = np.zeros(3), ring(2.0)
-    assert judge(ring(2.0, 150), here, wall, [(here, wall)]).possible
-    assert not judge(ring(4.0, 150), here, wall, [(here, wall)]).possible
+    assert sight(ring(2.0, 150), here, wall, here).possible
+    assert not sight(ring(4.0, 150), here, wall, here).possible
 
 
 def test_a_place_whose_walls_stand_where_an_earlier_scan_looked_through_is_none():
     here, far = np.zeros(3), ring(4.0)
     # The walls of the map do not tell, as nothing of them is hidden; the earlier rays do.
-    assert not judge(ring(2.0, 150), here, far, [(here, far)]).possible
-    assert judge(ring(2.0, 150), here, far, []).possible
+    assert not sight(ring(2.0, 150), here, far, here).possible
+    assert sight(ring(2.0, 150), here, far, None).possible
 
 
 def test_what_no_scan_has_looked_at_is_not_known():
     here, wall = np.zeros(3), ring(2.0)
     turned = np.array((0.0, 0.0, 1.0))
-    sight = judge(ring(2.0, 150), turned, wall, [(here, wall)])
-    assert sight.possible
-    assert sight.known == pytest.approx(0.75, abs=0.02)
+    seen = sight(ring(2.0, 150), turned, wall, here)
+    assert seen.possible
+    assert seen.known == pytest.approx(0.75, abs=0.02)
 
 
 def motion(x, covariance):

@@ -36,9 +36,9 @@ def variants() -> dict[str, OdometryConfig | SlamConfig]:
         "evolution with the paper's Table 1": replace(
             odometry, matching=replace(matching, search=as_printed)
         ),
-        "a point weighs a third": replace(odometry, matching=replace(matching, score_weight=0.3)),
+        "a point weighs 1": replace(odometry, matching=replace(matching, score_weight=1.0)),
         "wide cells only": replace(odometry, ndt=replace(ndt, fine_cell_m=0.0)),
-        "walls go on past their seen end": replace(odometry, ndt=replace(ndt, continued=2)),
+        "walls not filled in": replace(odometry, fill_m=0.0),
         "flat cells as they are": replace(odometry, ndt=replace(ndt, flat_stretch=1.0)),
         "a reference of resampled points": replace(odometry, reference_points="resampled"),
         "against the last key scan": replace(odometry, reference="key_scan"),
@@ -47,7 +47,8 @@ def variants() -> dict[str, OdometryConfig | SlamConfig]:
             odometry,
             reference="previous_scan",
             reference_points="resampled",
-            ndt=replace(ndt, fine_cell_m=0.0, continued=0, flat_stretch=1.0),
+            fill_m=0.0,
+            ndt=replace(ndt, fine_cell_m=0.0, flat_stretch=1.0),
             matching=replace(matching, search=as_printed, polish=False),
         ),
     }
