@@ -109,6 +109,16 @@ class LaserOdometry:
         self._blindness = Blindness()
         self._whole = config.reference_points == "all"
 
+    def __getstate__(self) -> dict[str, object]:
+        """Everything but the cells of the reference, which its key scans give again, bit for bit."""
+        return {name: value for name, value in vars(self).items() if name != "_reference"}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        vars(self).update(state)
+        self._reference = Ndt(self.config.ndt)
+        if self._keys:
+            self._build()
+
     def step(self, scan: Scan, missed: int = 0) -> Match:
         """Match the next scan.
 
@@ -209,6 +219,9 @@ class LaserOdometry:
         kept = self.config.key_scans if self.config.reference == "local_map" else 1
         self._keys.append(KeyScan(self._filter.pose.copy(), transform(self._filter.pose, points)))
         del self._keys[:-kept]
+        self._build()
+
+    def _build(self) -> None:
         self._reference.build(np.concatenate([key.points_odom for key in self._keys]))
 
     def _motion(

@@ -1,5 +1,7 @@
 """The laser is covered, carried away, turned too fast: said at once, found again, and never guessed."""
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -232,3 +234,18 @@ def test_carried_off_the_map_it_writes_no_walls_and_is_lost_until_it_comes_back(
     assert all(step.mapping.lost for step in steps[4:])
     assert not any(step.mapping.updated for step in steps)
     np.testing.assert_array_equal(slam.occupancy().probability, before)
+
+
+def test_what_is_kept_of_the_odometry_is_small_and_goes_on_bit_for_bit():
+    ranges, _ = drive(60)
+    whole = LaserOdometry(OdometryConfig(), 1)
+    for k, ranges_m in enumerate(ranges[:40]):
+        whole.step(Scan(10**9 + k * 99_889_000, ranges_m, BEAMS))
+    kept = pickle.dumps(whole)
+    # The cells of the reference alone would be many megabytes; the key scans that they come from are not.
+    assert len(kept) < 1_000_000
+    after = pickle.loads(kept)
+    for k, ranges_m in enumerate(ranges[40:], 40):
+        one, other = (o.step(Scan(10**9 + k * 99_889_000, ranges_m, BEAMS)) for o in (whole, after))
+        np.testing.assert_array_equal(one.motion.odom_t_laser, other.motion.odom_t_laser)
+        np.testing.assert_array_equal(one.motion.covariance, other.motion.covariance)
