@@ -27,7 +27,7 @@ what the motion is uncertain by."""
 UNSEEN_SPEED_M_S = 0.3
 """How far the velocity along an unseen direction may be off, until it was seen once: robots of this kind go
 no faster."""
-SPEED_ERROR_M_S = 0.07
+SPEED_ERROR_M_S = 0.03
 """How far it may be off what it was when it was seen last. It keeps its error: that adds up along the way,
 not by chance."""
 

@@ -17,11 +17,19 @@ from processing.matching import Matcher, Matching, MatchingConfig
 from processing.motion import Motion, anew_covariance, lost_covariance
 from processing.ndt import Ndt, NdtConfig
 from processing.observability import Blindness, blind_m, view
-from processing.prediction import ConstantVelocity, PredictionConfig, Prior, exponential, turned, weakened
+from processing.prediction import (
+    ConstantVelocity,
+    Cruise,
+    PredictionConfig,
+    Prior,
+    exponential,
+    turned,
+    weakened,
+)
 from processing.recovery import KeyScan, shaded
 from processing.saliency import Resampler, ResamplingConfig
 from processing.scan import Beams, Scan
-from processing.se2 import between, compose, snap_yaw, transform
+from processing.se2 import Pose, between, compose, snap_yaw, transform
 from processing.tracking import Watch
 
 Points = NDArray[np.float64]
@@ -131,6 +139,7 @@ class LaserOdometry:
         """
         resampler, middle_s, watch = self._prepare(scan)
         duration_s = (1 + missed) * scan.beams.period_s
+        old_pose = self._filter.pose
         prior = watch.expect(self._filter, duration_s) if self._keys else None
         twist = self._filter.twist if self.config.deskew else np.zeros(3)
         ends = resampler.points(scan, twist, middle_s)
@@ -144,22 +153,17 @@ class LaserOdometry:
             watch.miss(self._filter, missed)
         if prior is not None and matching is not None and (watch.trying or not watch.lost):
             # One that does not fit may still tell a little, as long as it is not known to be wrong.
-            seen = view(matching.information, blind_m(self._filter.drift_m(duration_s)))
-            pose = seen.hold(matching.pose, prior.pose)
             before = self._filter.twist
-            information = turned(seen.information, -pose[2])
-            self._filter.correct(pose, weakened(information, prior, pose) if watch.doubtful else information)
-            twists = (before, self._filter.twist)
+            unseen = self._correct(matching, prior, old_pose if fits else None, duration_s)
             covariance = self._certainty.judge(
-                scan, len(ends), points, matching, self._reference, twists, middle_s
+                scan, len(ends), points, matching, self._reference, (before, self._filter.twist), middle_s
             )
-            unseen = _in_laser(seen.unseen, pose[2])
-            self._filter.bound(unseen)
         anew = sees and (prior is None or watch.hopeless)
         if anew:
             watch.begin()
             self._keys.clear()
             self._filter.forget_velocity()
+            self._cruise.forget()
         if anew or fits:
             watch.remember(transform(self._filter.pose, ends))
         key = anew or (fits and not watch.doubtful and self._is_key())
@@ -174,6 +178,32 @@ class LaserOdometry:
             key=key,
             evaluations=0 if matching is None else matching.evaluations,
         )
+
+    def _correct(self, matching: Matching, prior: Prior, old_pose: Pose | None, duration_s: float) -> Points:
+        """Take the match into the filter, where it sees; elsewhere the laser goes on as it did.
+
+        Args:
+            matching: Of the scan, which need not fit.
+            prior: Where the scan was expected.
+            old_pose: (3,) at the scan before; None if the scan does not fit.
+            duration_s: Since then.
+
+        Returns:
+            (K, 2) unit vectors of the directions that are not seen, laser frame.
+        """
+        seen = view(matching.information, blind_m(self._filter.drift_m(duration_s)))
+        pose = seen.hold(matching.pose, prior.pose)
+        information = turned(seen.information, -pose[2])
+        if self._watch.doubtful:
+            information = weakened(information, prior, pose)
+        self._filter.correct(pose, information)
+        unseen = _in_laser(seen.unseen, pose[2])
+        self._filter.bound(unseen)
+        if len(unseen):
+            self._filter.steer(unseen, self._cruise.velocity(self._filter.twist))
+        elif old_pose is not None and not self._watch.doubtful:
+            self._cruise.see(between(old_pose, pose), duration_s)
+        return unseen
 
     def _locate(self, points: Points, prior: Prior, watch: Watch) -> tuple[Matching, bool]:
         """Match the scan where it is expected; where it does not fit there, look farther.
@@ -199,6 +229,7 @@ class LaserOdometry:
             self._beams = scan.beams
             self._resampler = Resampler(self.config.resampling, scan.beams)
             self._watch = Watch(scan.beams.period_s, self.config.ndt)
+            self._cruise = Cruise(scan.beams.period_s)
         elif scan.beams.count != self._beams.count:
             raise ValueError(
                 f"scan of {scan.beams.count} beams, must be {self._beams.count} as the first scan"

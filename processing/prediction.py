@@ -5,6 +5,7 @@ frame. It never sees a clock: the time between two scans is the sensor's own per
 jitter by half a period, and a velocity divided by such a time throws the track off.
 """
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,10 @@ from processing.se2 import Pose, between, compose, invert
 Twist = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
+CRUISE_S = (2.0, 1.0, 0.5)
+"""Times over which a velocity may have been steady."""
+STEADY_M_S = 0.15
+"""What the filter's velocity may be off a steady one; farther, and the laser has changed its speed."""
 LEAST_INFORMATION = 1e-6
 """Keeps what is not seen at all finite, 1/m^2 and 1/rad^2."""
 
@@ -91,6 +96,44 @@ def weakened(information_laser: Matrix, prior: Prior, pose: Pose) -> Matrix:
     return np.asarray(np.linalg.inv(claimed + expected + np.outer(off, off)))
 
 
+class Cruise:
+    """The velocity that the laser has had for a while: where its way is not seen, it goes on with it.
+
+    The filter follows every jerk, and so the noise of every match; a mean over two seconds of what was seen
+    is known five times as well.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._counts = [max(1, round(window_s / period_s)) for window_s in CRUISE_S]
+        self._seen: deque[NDArray[np.float64]] = deque(maxlen=self._counts[0])
+        self._held: NDArray[np.float64] | None = None
+
+    def see(self, motion: Pose, duration_s: float) -> None:
+        """Take in a motion (3,) of which every direction was seen."""
+        self._seen.append(logarithm(motion)[:2] / duration_s)
+        self._held = None
+
+    def velocity(self, twist: Twist) -> NDArray[np.float64]:
+        """Return the velocity (2,), laser frame, to go on with until everything is seen again.
+
+        It is the mean over the longest time in which it was about the present one.
+
+        Args:
+            twist: (3,) of the filter: the present one, roughly.
+        """
+        if self._held is None:
+            seen = np.array((*self._seen, twist[:2]))
+            means = [seen[-count:].mean(axis=0) for count in self._counts]
+            steady = (mean for mean in means if np.hypot(*(mean - twist[:2])) < STEADY_M_S)
+            self._held = next(steady, twist[:2].copy())
+        return self._held
+
+    def forget(self) -> None:
+        """Begin anew: what was is no more."""
+        self._seen.clear()
+        self._held = None
+
+
 class ConstantVelocity:
     """Pose and twist of the laser with their covariance (6, 6), in the laser's frame."""
 
@@ -151,6 +194,10 @@ class ConstantVelocity:
                 shrink[3:5, 3:5] -= along
                 shrink[:2, :2] -= along
                 self.covariance = shrink @ self.covariance @ shrink.T
+
+    def steer(self, unseen: NDArray[np.float64], velocity: NDArray[np.float64]) -> None:
+        """Take up a velocity (2,) along unseen directions (K, 2), both in the laser's frame."""
+        self.twist[:2] += unseen.T @ (unseen @ (velocity - self.twist[:2]))
 
     def correct(self, pose: Pose, information_laser: Matrix) -> Twist:
         """Take the pose (3,) found by matching, prior included; return how far it is from the expected one.

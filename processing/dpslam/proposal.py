@@ -11,7 +11,7 @@ Matrix = NDArray[np.float64]
 NOISE_M = 0.005
 NOISE_RAD = 0.002
 """Least noise of a predicted motion: no matcher is better than its points."""
-WIDE_M = 0.05
+WIDE_M = 0.03
 """Deviation of the way to one scan that needs no more doubt."""
 MOST_NOISE = np.array((0.5, 0.5, 0.3))
 """Noise beyond which a motion is as good as unknown; m, m, rad."""

@@ -13,7 +13,7 @@ def test_what_is_known_well_is_doubted_and_what_is_wide_is_believed():
     spread = np.sqrt(np.diag(doubted(covariance, 3.0)))
     assert spread == pytest.approx((0.012, 0.3, 0.006))
     # Between them the doubt ends where the deviation is wide.
-    assert np.sqrt(doubted(np.diag((0.03**2, 1e-6, 1e-6)), 3.0)[0, 0]) == pytest.approx(WIDE_M)
+    assert np.sqrt(doubted(np.diag((0.02**2, 1e-6, 1e-6)), 3.0)[0, 0]) == pytest.approx(WIDE_M)
 
 
 def test_doubt_turns_with_the_axes():

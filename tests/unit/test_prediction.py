@@ -5,6 +5,7 @@ import pytest
 
 from processing.prediction import (
     ConstantVelocity,
+    Cruise,
     PredictionConfig,
     adjoint,
     exponential,
@@ -193,3 +194,33 @@ def test_the_expectation_is_given_on_the_axes_of_the_odometry():
 def test_a_filter_that_cannot_be_is_refused(name, value):
     with pytest.raises(ValueError, match=name):
         PredictionConfig(**{name: value})
+
+
+def test_a_steady_velocity_is_the_mean_of_the_longest_time_that_agrees_with_the_present_one():
+    rng = np.random.default_rng(3)
+    cruise, twist = Cruise(0.1), np.array((0.35, 0.0, 0.0))
+    for _ in range(20):
+        cruise.see(exponential(0.1 * np.array((0.3 + rng.normal(0.0, 0.05), 0.0, 0.2))), 0.1)
+    held = cruise.velocity(twist)
+    assert held[0] == pytest.approx(0.3, abs=0.02)
+    # It stays until everything is seen again, whatever the filter makes of it.
+    assert cruise.velocity(np.array((0.0, 0.0, 0.0))) is held
+
+
+def test_after_a_stop_the_way_before_it_does_not_count():
+    cruise = Cruise(0.1)
+    for speed in (0.6,) * 15 + (0.0,) * 5:
+        cruise.see(exponential(np.array((0.1 * speed, 0.0, 0.0))), 0.1)
+    assert cruise.velocity(np.zeros(3))[0] == pytest.approx(0.0, abs=1e-9)
+    cruise.forget()
+    assert cruise.velocity(np.array((0.2, 0.1, 0.0))) == pytest.approx((0.2, 0.1))
+
+
+def test_the_filter_takes_up_a_velocity_along_what_is_not_seen_only():
+    filter_ = ConstantVelocity(PredictionConfig())
+    filter_.twist = np.array((0.1, 0.2, 0.3))
+    filter_.steer(np.array(((0.6, 0.8),)), np.array((1.0, 1.0)))
+    along, across = np.array((0.6, 0.8)), np.array((-0.8, 0.6))
+    assert along @ filter_.twist[:2] == pytest.approx(along @ (1.0, 1.0))
+    assert across @ filter_.twist[:2] == pytest.approx(across @ (0.1, 0.2))
+    assert filter_.twist[2] == 0.3
