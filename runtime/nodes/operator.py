@@ -28,6 +28,7 @@ class Config:
     building: Literal[
         "demo",
         "room",
+        "doorway",
         "corridor",
         "hallway_with_doors",
         "pillar_hall",

@@ -26,6 +26,7 @@ PUBLISHES: tuple[str, ...] = ("truth",)
 BUILDINGS: dict[str, Callable[[], world.Building]] = {
     "demo": world.demo_building,
     "room": world.room,
+    "doorway": world.doorway,
     "corridor": world.corridor,
     "hallway_with_doors": world.hallway_with_doors,
     "pillar_hall": world.pillar_hall,
@@ -42,6 +43,7 @@ class Config:
     building: Literal[
         "demo",
         "room",
+        "doorway",
         "corridor",
         "hallway_with_doors",
         "pillar_hall",
