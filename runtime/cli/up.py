@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from types import FrameType
@@ -28,6 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--duration", type=float, metavar="S", help="end by itself after S seconds of running"
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="results folder (default results/TIME)")
+    parser.add_argument(
+        "--on",
+        type=Path,
+        metavar="SESSION",
+        help="begin somewhere on a saved map, a session file or results folder, and follow the laser there",
+    )
+    parser.add_argument("--extend", action="store_true", help="with --on: map the drive onto the saved map")
     parser.add_argument("--robot", metavar="NAME", help="instead of the graph's")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the graph's")
     parser.add_argument(
@@ -49,6 +57,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the graph; 0 when done, 130 after Ctrl-C with everything saved, else why it failed."""
+    from runtime import graph as graphs
+    from runtime.errors import ConfigError
+    from runtime.graph_on_map import on_map
+
+    file = graphs.find(args.graph)
+    if args.on is None:
+        if args.extend:
+            raise ConfigError("--extend: needs --on SESSION, the map to go on with")
+        return _run(args, file)
+    if args.service is not None:
+        raise ConfigError("--on with --service: give the mapper of a graph the session, and install that")
+    with tempfile.TemporaryDirectory(prefix="hallway-") as folder:
+        return _run(args, on_map(file, args.on, args.extend, Path(folder)))
+
+
+def _run(args: argparse.Namespace, file: Path) -> int:
     from dataclasses import replace
 
     from runtime import graph as graphs
@@ -62,7 +86,6 @@ def run(args: argparse.Namespace) -> int:
 
     if args.duration is not None and not args.duration > 0:
         raise ConfigError(f"--duration = {args.duration:g}, must be more than 0 s")
-    file = graphs.find(args.graph)
     graph = graphs.load(file)
     changes = {key: getattr(args, key) for key in ("robot", "seed") if getattr(args, key) is not None}
     try:

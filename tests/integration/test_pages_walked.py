@@ -82,6 +82,7 @@ BEFORE = (
     Call("map day2.mcap --continue results/day1 --out results/day2", (0, 5), "saved map"),
     Call("info results/day2/session.mcap", 0, "scans"),
     Call("localize results/day1 day3.mcap --out results/where", (0, 5), "saved map"),
+    Call("up onboard --on results/day1", 3, "no such port", ("--headless",)),
     Call("layer results/day1 edited.png", 0, "wall", first=paint),
     Call("layer results/day1 --clear wall", 0, ""),
     Call("layer results/day1 --keepout keepout.pgm", 0, "out"),

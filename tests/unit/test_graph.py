@@ -7,6 +7,7 @@ import pytest
 
 from runtime import graph
 from runtime.errors import ConfigError
+from runtime.graph_on_map import on_map
 
 
 @pytest.fixture
@@ -169,3 +170,27 @@ def test_the_check_prints_the_resolved_graph_or_one_line(modules, capsys):
     file.write_text("nodes: {eye: {module: graph_nodes.eye, config: {gain: -1}}}")
     assert graph.main([str(file)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_graph_begins_on_a_saved_map(tmp_path):
+    session = tmp_path / "day1"
+    session.mkdir()
+    (session / "session.mcap").write_bytes(b"")
+    file = graph.find("demo")
+    derived = on_map(file, session, True, tmp_path)
+    before, after = graph.load(file), graph.load(derived)
+    assert after.nodes["mapper"].config == {"session": str(session), "extend": True}
+    assert {name: node for name, node in after.nodes.items() if name != "mapper"} == {
+        name: node for name, node in before.nodes.items() if name != "mapper"
+    }
+    assert derived.name == file.name
+
+
+def test_a_saved_map_that_is_not_there_or_that_nobody_takes_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="must be a session"):
+        on_map(graph.find("demo"), tmp_path, False, tmp_path)
+    (tmp_path / "session.mcap").write_bytes(b"")
+    lone = tmp_path / "lone.yaml"
+    lone.write_text("nodes:\n  base: {module: base}\n")
+    with pytest.raises(ConfigError, match="no mapper"):
+        on_map(lone, tmp_path, False, tmp_path / "out")
