@@ -1,7 +1,8 @@
 """What the matcher tells the mapper: where the laser went since the last scan, and how well that is known.
 
 Three kinds of motion, told apart by their covariance. A known one vouches for the whole way since the last
-one that was not lost. A lost one says nothing, and its scan belongs nowhere. One that begins anew says
+one that was not lost. A lost one says nothing, and its scan belongs nowhere; it may be merely doubted: the
+track goes on, and only this scan contradicts what is known. One that begins anew says
 nothing of the way to it, and is where the known ones after it begin: the first of a run, and the first after
 a loss, unless the laser was only covered for a moment. Its pose is a guess: the mapper asks the whole map.
 """
@@ -15,6 +16,8 @@ from processing.se2 import Pose, between
 
 UNKNOWN_VARIANCE = 1e6
 """Variance (m^2, rad^2) of a motion of which nothing is known; the sign of a lost track."""
+DOUBTED_VARIANCE = 2e6
+"""The sign of a scan that is doubted."""
 ANEW_VARIANCE = 4e6
 """The sign of a track that begins anew."""
 
@@ -38,6 +41,11 @@ class Motion:
         return bool(UNKNOWN_VARIANCE <= self.covariance[2, 2] < ANEW_VARIANCE)
 
     @property
+    def doubted(self) -> bool:
+        """Whether it counts as lost only because its scan contradicts the map: its pose is likely right."""
+        return bool(DOUBTED_VARIANCE <= self.covariance[2, 2] < ANEW_VARIANCE)
+
+    @property
     def anew(self) -> bool:
         """Whether the track begins here, the way to it unknown."""
         return bool(self.covariance[2, 2] >= ANEW_VARIANCE)
@@ -46,6 +54,11 @@ class Motion:
 def lost_covariance() -> NDArray[np.float64]:
     """Return the covariance (3, 3) of a lost motion."""
     return np.diag((UNKNOWN_VARIANCE,) * 3)
+
+
+def doubted_covariance() -> NDArray[np.float64]:
+    """Return the covariance (3, 3) of a motion whose scan is doubted."""
+    return np.diag((DOUBTED_VARIANCE,) * 3)
 
 
 def anew_covariance() -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from processing.certainty import Certainty
 from processing.matching import Matcher, Matching, MatchingConfig
-from processing.motion import Motion, anew_covariance, lost_covariance
+from processing.motion import Motion, anew_covariance, doubted_covariance, lost_covariance
 from processing.ndt import Ndt, NdtConfig
 from processing.observability import Blindness, blind_m, view
 from processing.prediction import (
@@ -31,6 +31,9 @@ from processing.saliency import Resampler, ResamplingConfig
 from processing.scan import Beams, Scan
 from processing.se2 import Pose, between, compose, snap_yaw, transform
 from processing.tracking import Watch
+
+SHAKEN = np.array((0.05, 0.05, 0.015))
+"""How far each motion may be off, one sigma, while something large moves before the laser; m, m, rad."""
 
 Points = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -170,7 +173,7 @@ class LaserOdometry:
         if key:
             self._remember(resampler.filled(self.config.fill_m) if self._whole else points)
         return Match(
-            motion=self._motion(scan, middle_s, covariance, unseen, fits and not watch.doubtful, anew),
+            motion=self._motion(scan, middle_s, covariance, unseen, fits, anew),
             state=Tracking.LOST if watch.lost or not self._keys else _state(unseen),
             blind_rad=_axis(unseen),
             score=0.0 if matching is None else matching.score,
@@ -262,7 +265,11 @@ class LaserOdometry:
             covariance = anew_covariance()
         elif not fits:
             covariance = lost_covariance()
+        elif self._watch.doubtful:
+            covariance = doubted_covariance()
         else:
+            if self._watch.shaken:
+                covariance = covariance + np.diag(SHAKEN**2)
             covariance = self._blindness.widened(covariance, unseen, self._watch.since_s)
         return Motion(
             stamp_ns=scan.stamp_ns,

@@ -54,6 +54,7 @@ class Watch:
         self._misses = 0
         self._duration_s = period_s
         self._doubts, self._most_doubts = 0, max(1, round(DOUBT_S / period_s))
+        self._calm = self._most_doubts
         self.doubtful = False
         """Whether the scan fits so badly on known ground that it may be anywhere that the motion allows."""
         self.since_s = period_s
@@ -78,6 +79,11 @@ class Watch:
     def hopeless(self) -> bool:
         """Whether it is time to begin anew: the laser sees, and is nowhere on the local map."""
         return self.lost and self._recovery is not None and self._recovery.hopeless
+
+    @property
+    def shaken(self) -> bool:
+        """Whether a scan contradicted the map a moment ago: what moved may have drawn the match with it."""
+        return self._calm < self._most_doubts
 
     def begin(self) -> None:
         """Forget what is usual: a new local map begins."""
@@ -107,6 +113,7 @@ class Watch:
         explained = share if sight is None else share / max(sight.known, LEAST_KNOWN)
         self._doubts = self._doubts + 1 if explained < DOUBTFUL else 0
         self.doubtful = 0 < self._doubts <= self._most_doubts
+        self._calm = 0 if self._doubts else self._calm + 1
         if self.lost or self.trying or share < (FIT if self._misses == 0 else SURE):
             return False
         sigmas = _sigmas(matching.pose, prior) if share < SURE else 0.0

@@ -31,8 +31,6 @@ from processing.se2 import Pose
 
 MISFITS = 5
 """Key scans in a row that contradict the own map before the track counts as lost."""
-LOST_S = 0.35
-"""After so much time without a motion that is known the laser counts as lost: about as the matcher has it."""
 _BEAMS = tuple(field.name for field in fields(Beams))
 
 
@@ -74,8 +72,6 @@ class DpSlam:
         self._covariance = np.zeros((3, 3))
         self._search: Search | None = None
         self._strange = True
-        self._unknown_s = 0.0
-        """For how long the matcher has not been able to tell where the laser is."""
         self.fixed = False
         """Whether the maps stay as they are: the laser is followed on them, and nothing is written."""
 
@@ -103,10 +99,9 @@ class DpSlam:
         if strange and self.population.keys:
             self._trail.break_off()
         key_t_laser = se2.between(self._key_odom, odom)
-        self._unknown_s = self._unknown_s + scan.beams.period_s if motion.lost else 0.0
         if motion.lost:
             # It belongs nowhere; the next motion that is known vouches for the way over it.
-            return self._answer(key_t_laser, lost=self._unknown_s >= LOST_S)
+            return self._answer(key_t_laser, lost=not motion.doubted)
         if motion.anew and self.population.keys:
             # What was gathered before is not held together with what comes.
             self._search = Search(self._predicted(key_t_laser) if self._search is None else None)
@@ -188,7 +183,6 @@ class DpSlam:
             "covariance": self._covariance.copy(),
             "particles": np.array(self.config.particles),
             "strange": np.array(self._strange),
-            "unknown_s": np.array(self._unknown_s),
             "fixed": np.array(self.fixed),
         }
         if self._search is not None:
@@ -227,7 +221,7 @@ class DpSlam:
             slam.loops.restore(part("loops"))
         slam._key_odom, slam._odom = state["key_odom_t_laser"].copy(), state["odom_t_laser"].copy()
         slam._covariance, slam._strange = state["covariance"].copy(), bool(state["strange"])
-        slam.fixed, slam._unknown_s = bool(state["fixed"]), float(state["unknown_s"])
+        slam.fixed = bool(state["fixed"])
         if searched := part("search"):
             slam._search = Search.from_state(searched)
         if "beams" in state:

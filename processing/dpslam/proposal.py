@@ -12,7 +12,8 @@ NOISE_M = 0.005
 NOISE_RAD = 0.002
 """Least noise of a predicted motion: no matcher is better than its points."""
 WIDE_M = 0.03
-"""Deviation of the way to one scan that needs no more doubt."""
+WIDE_RAD = 0.01
+"""Deviations of the way to one scan that need no more doubt."""
 MOST_NOISE = np.array((0.5, 0.5, 0.3))
 """Noise beyond which a motion is as good as unknown; m, m, rad."""
 
@@ -26,7 +27,7 @@ def doubted(covariance: Matrix, doubt: float) -> Matrix:
     spread = np.sqrt(np.maximum(values, 1e-12))
     grow = np.eye(3)
     grow[:2, :2] = (vectors * np.clip(WIDE_M / spread, 1.0, doubt)) @ vectors.T
-    grow[2, 2] = doubt
+    grow[2, 2] = np.clip(WIDE_RAD / np.sqrt(max(covariance[2, 2], 1e-12)), 1.0, doubt)
     return np.asarray(grow @ covariance @ grow.T)
 
 

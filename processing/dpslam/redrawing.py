@@ -70,7 +70,6 @@ def rebuild(
         "covariance": np.zeros((3, 3)),
         "particles": np.array(config.particles),
         "strange": np.array(not going_on),
-        "unknown_s": np.array(0.0),
         "fixed": np.array(fixed),
         "beams": past.beams,
     }

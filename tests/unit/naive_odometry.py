@@ -117,6 +117,13 @@ class Ndt:
             for moved, weighed in zip(_moved(points, pose), _moved(points, weighed_at), strict=True)
         )
 
+    def knows(self, point):
+        """Whether any of the four cells around a point holds enough."""
+        return any(
+            self._places([point], shift)[0] in cells
+            for shift, cells in zip(self.SHIFTS, self.cells, strict=True)
+        )
+
     def point_score(self, point, blur_m2=0.0, weighed=None):
         weighed = point if weighed is None else weighed
         total = weights = 0.0

@@ -1,9 +1,20 @@
 """The settled map grows into what it would be if built at once, and holds scans that lie on it."""
 
+import importlib.util
+from pathlib import Path
+
 import numpy as np
+import pytest
 
 from processing.dpslam.settled import CELL_M, SettledMap
+from processing.ndt import NdtConfig
 from processing.se2 import between, invert, transform
+
+_spec = importlib.util.spec_from_file_location(
+    "naive_odometry", Path(__file__).with_name("naive_odometry.py")
+)
+naive = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(naive)
 
 
 def room(seed=0, count=4000):
@@ -26,6 +37,27 @@ def test_it_makes_no_difference_in_which_pieces_the_points_came():
     probe = np.random.default_rng(1).uniform(-3.5, 3.5, (500, 2))
     nowhere = np.zeros(3)
     np.testing.assert_allclose(pieces.fits(probe, nowhere), whole.fits(probe, nowhere), atol=1e-6)
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_the_fit_of_each_point_is_that_of_four_plain_grids(at_once):
+    points = room(count=1500) - (3.0, 2.0)
+    settled = SettledMap()
+    if at_once:
+        settled.add(points + 50.0)
+        settled.rebuild(points)
+    else:
+        for part in np.array_split(points[np.argsort(np.abs(points).max(axis=1))], 5):
+            settled.add(part)
+    plain = naive.Ndt(points, NdtConfig(cell_m=CELL_M))
+    rng = np.random.default_rng(2)
+    probe = np.vstack((points[::8] + rng.normal(0.0, 0.03, (188, 2)), rng.uniform(-4.0, 4.0, (150, 2))))
+    pose = np.array((0.3, -0.2, 0.5))
+    found = settled.fits(np.ascontiguousarray(transform(invert(pose), probe)), pose)
+    expected = [plain.point_score(point) if plain.knows(point) else -1.0 for point in probe]
+    assert (found < 0.0).sum() > 40
+    assert (found > 0.3).sum() > 60
+    np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 def test_a_scan_finds_its_place():

@@ -38,6 +38,7 @@ _spec.loader.exec_module(naive)
 DPSLAM = "unit/test_dpslam_naive.py::test_the_filter_equals_one_that_copies_whole_maps"
 SLOPES = "unit/test_ndt.py::test_gradient_and_hessian_are_the_differences_of_the_score_at_fixed_weights"
 PASSES = "unit/test_evaluation_sharpness.py::test_a_ray_passes_each_cell_between_its_ends_but_the_last_two"
+SETTLED = "unit/test_dpslam_settled.py::test_the_fit_of_each_point_is_that_of_four_plain_grids"
 SCORE = "unit/test_ndt.py::test_the_score_is_that_of_four_plain_grids"
 
 TWINS = {
@@ -91,11 +92,10 @@ TWINS = {
     "dpslam.grid": {"": DPSLAM},
     "dpslam.kernels": {"": DPSLAM},
     "dpslam.laser_model": {"": DPSLAM},
+    "dpslam.settled_kernels": {"": SETTLED},
     "dpslam.writing": {"": DPSLAM},
 }  # fmt: skip
 """Module -> kernel -> the test that holds it against something plain; "" are those that its others call."""
-WITHOUT_TWIN = {"dpslam.settled_kernels"}
-"""Tested by what they are for, not against a plain twin."""
 
 
 def kernels():
@@ -131,7 +131,7 @@ def test_a_kernel_is_compiled_ahead_for_written_types_frees_the_interpreter_and_
         kernel(*["no array"] * len(kernel.signatures[0]))
 
 
-@each([kernel for kernel in KERNELS if kernel[0] not in WITHOUT_TWIN])
+@each(KERNELS)
 def test_a_kernel_is_held_against_something_plain(module, name, kernel):
     assert module in TWINS, f"{module} has kernels and no entry in TWINS"
     test = TWINS[module].get(name) or TWINS[module].get("")

@@ -42,9 +42,7 @@ def test_a_lost_laser_is_told_in_words_and_no_pose_goes_out_until_it_is_found():
         level, text, _ = port.reports[-1]
         said.append((level, text, any(topic == "pose" for topic, _ in port.published[before:])))
     assert all(word == ("ok", "mapping", True) for word in said[:100])
-    # For 0.3 s the odometry's guess will do.
-    assert all(word == ("ok", "mapping", True) for word in said[100:103])
-    waits = said[103:104]
+    waits = said[100:104]
     assert {(level, pose) for level, _, pose in waits} == {("warn", False)}
     assert "the map waits" in waits[0][1]
     searches = [word for word in said[104:] if word[0] == "error"]
