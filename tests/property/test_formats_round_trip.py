@@ -1,5 +1,6 @@
 """What one format holds comes back from it, and what it cannot hold is told."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -108,7 +109,12 @@ def test_a_half_circle_is_written_as_flaser(tmp_path, beams, steps):
     assert f"\nFLASER {beams} 81.83 0.0 60.0 1.07 1.07 " in text
     assert " 123456789.012345678 hallway 0.000000\n" in text
     assert "1 readings of 50 m or more, which mean no echo there" in lost
-    assert open_log(tmp_path / "a.log").geometry.angle_increment_rad == pytest.approx(np.pi / steps)
+    got = open_log(tmp_path / "a.log").geometry
+    assert got.angle_increment_rad == pytest.approx(np.pi / steps)
+    # The time from ray to ray is read as a SICK's, and only another one is told as lost.
+    assert any(f"time_increment = 0 s, which is read as {got.time_increment_s:g} s" in one for one in lost)
+    sick = log_of(replace(geometry, time_increment_s=got.time_increment_s), [1], ranges)
+    assert not any("time_increment" in one for one in write_carmen(tmp_path / "b.log", sick))
 
 
 URG = LaserGeometry(

@@ -67,7 +67,7 @@ def compare(slam, twin):
 def test_the_filter_equals_one_that_copies_whole_maps(seed):
     # Many selections: a strong tempering on few particles.
     config = DpSlamConfig(
-        particles=5, points=20, rays=12, key_distance_m=0.15, tempering=0.5, memory=8, close_loops=False
+        particles=5, points=20, rays=12, key_distance_m=0.15, tempering=1.0, memory=8, close_loops=False
     )
     slam, twin = DpSlam(config, seed), naive.NaiveDpSlam(config, seed)
     for number, (scan, motion) in enumerate(drive(36, seed)):

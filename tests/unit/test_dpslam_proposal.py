@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from processing.dpslam.proposal import WIDE_M, doubted, held
+from processing.dpslam.proposal import WIDE_M, WIDE_RAD, doubted, held
 from processing.observability import BLIND_M
 from processing.se2 import wrap
 
@@ -14,6 +14,13 @@ def test_what_is_known_well_is_doubted_and_what_is_wide_is_believed():
     assert spread == pytest.approx((0.012, 0.3, 0.006))
     # Between them the doubt ends where the deviation is wide.
     assert np.sqrt(doubted(np.diag((0.02**2, 1e-6, 1e-6)), 3.0)[0, 0]) == pytest.approx(WIDE_M)
+
+
+def test_a_turn_that_is_known_roughly_is_doubted_no_more():
+    # Claimed so wide already, doubted until it is so wide, and doubted in full.
+    for claimed, believed in ((0.02, 0.02), (0.006, WIDE_RAD), (0.001, 0.003)):
+        covariance = np.diag((1e-6, 1e-6, claimed**2))
+        assert np.sqrt(doubted(covariance, 3.0)[2, 2]) == pytest.approx(believed)
 
 
 def test_doubt_turns_with_the_axes():

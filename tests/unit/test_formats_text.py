@@ -83,8 +83,17 @@ def test_robotlaser_tells_its_own_fan_and_its_own_maximum(tmp_path):
     log = open_log(written(tmp_path, robotlaser([1.0, 19.9, 20.0, 81.0], remissions=(7, 8, 9, 10))))
     g = log.geometry
     assert (g.angle_min_rad, g.angle_increment_rad, g.range_max_m) == (-1.0, 0.5, 20.0)
+    # Of a fan that is no half circle nobody knows how long it takes.
+    assert g.time_increment_s == 0.0
     np.testing.assert_array_equal(only(log).ranges_m, np.array([1.0, 19.9, np.inf, np.inf], dtype=np.float32))
     assert log.stamps_ns.tolist() == [10_500_000_000]
+
+
+@pytest.mark.parametrize("count", [180, 181])
+def test_a_robotlaser_of_a_half_circle_has_the_time_of_a_sick_as_a_flaser_has(tmp_path, count):
+    step = math.pi / 180
+    line = robotlaser([1.0] * count, start=-math.pi / 2, field=math.pi, step=step)
+    assert open_log(written(tmp_path, line)).geometry.time_increment_s == pytest.approx(1.0 / 75.0 / 360)
 
 
 def test_a_robotlaser_without_resolution_spreads_its_rays_over_its_field_of_view(tmp_path):
@@ -137,6 +146,7 @@ def test_a_wean_line_is_centimetres_from_the_right(tmp_path):
     assert log.stamps_ns.tolist() == [25_466_000_000]
     assert log.geometry.angle_min_rad == pytest.approx(-math.pi / 2)
     assert log.geometry.angle_increment_rad == pytest.approx(math.radians(1))
+    assert log.geometry.time_increment_s == pytest.approx(1.0 / 75.0 / 360)
 
 
 # ---- stamps and rate ----

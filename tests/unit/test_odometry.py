@@ -114,6 +114,29 @@ def test_a_covered_laser_is_lost_in_half_a_second_and_found_where_it_then_is(in_
     assert turn < 0.03
 
 
+def test_a_scan_that_contradicts_known_ground_is_doubted_and_no_part_of_the_map(in_a_room):
+    ranges, truth = in_a_room
+    someone, place = slice(LASER.beams * 3 // 10, LASER.beams * 7 // 10), range(40, 48)
+    rng = np.random.default_rng(0)
+    seen = [ranges_m.copy() for ranges_m in ranges[:60]]
+    for k in place:
+        # Somebody comes round the corner and covers more than a third of the sight.
+        near_m = 1.4 + rng.normal(0.0, 0.01, LASER.beams)
+        seen[k][someone] = np.fmin(seen[k], near_m)[someone]
+    free, matches = follow(ranges[:60]), follow(seen)
+    assert any(free[k].key for k in place)
+    assert not any(matches[k].key for k in place)
+    assert [k for k, match in enumerate(matches) if match.motion.lost] == list(place)
+    assert all(matches[k].motion.doubted for k in place)
+    assert Tracking.LOST not in [match.state for match in matches]
+    # What moved may have drawn the matches with it, and the motions that follow say so.
+    assert matches[48].motion.covariance[0, 0] > 100.0 * free[48].motion.covariance[0, 0]
+    for after in (48, 59):
+        distance, turn = off(matches[after], matches[39], se2.between(truth[39], truth[after]))
+        assert distance < 0.03
+        assert turn < 0.01
+
+
 def test_covered_for_a_moment_in_a_plain_corridor_it_goes_on_and_does_not_know_how_far():
     ranges, truth = drive(140, building=corridor(30.0))
     matches = follow([*ranges[:100], *[NOTHING] * 8, *ranges[108:140]])

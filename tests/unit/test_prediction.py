@@ -7,10 +7,12 @@ from processing.prediction import (
     ConstantVelocity,
     Cruise,
     PredictionConfig,
+    Prior,
     adjoint,
     exponential,
     logarithm,
     turned,
+    weakened,
 )
 from processing.se2 import between, compose, invert
 
@@ -107,6 +109,23 @@ def test_a_correction_is_that_of_a_kalman_filter():
     np.testing.assert_allclose(filter_.covariance[:3, :3], posterior, rtol=1e-6, atol=1e-12)
     expected = twist + before[3:, :3] @ np.linalg.solve(before[:3, :3], innovation)
     np.testing.assert_allclose(filter_.twist, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, 0.9, -2.5])
+def test_a_match_that_may_be_wrong_is_as_wrong_as_it_is_far_from_what_was_expected(yaw_rad):
+    pose = np.array((1.0, 2.0, yaw_rad))
+    # 0.2 m ahead of where it was expected, to within 0.1 m ahead and 0.05 m aside; all on the laser's axes.
+    prior = Prior(compose(pose, np.array((-0.2, 0.0, 0.0))), turned(np.diag((1e2, 4e2, 1e4)), yaw_rad))
+    claimed = np.diag((1e4, 1e4, 1e6))
+    left = np.linalg.inv(weakened(claimed, prior, pose))
+    assert np.diag(left) == pytest.approx(
+        (1e-4 + 0.01 + 0.04, 1e-4 + 0.0025, 1e-6 + 1e-4), rel=1e-6, abs=1e-9
+    )
+    # Less than the motion says of it: it can draw the filter no farther than half way.
+    assert np.linalg.eigvalsh(np.diag((1e2, 4e2, 1e4)) - weakened(claimed, prior, pose)).min() > 0.0
+    nothing = weakened(np.zeros((3, 3)), prior, pose)
+    assert np.isfinite(nothing).all()
+    assert np.abs(nothing).max() < 2e-6
 
 
 def test_the_covariance_grows_while_nothing_is_seen_and_stays_symmetric():

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from drivers.world import Building, Urg04lx, pillar_hall, room, simulate_scans
+from drivers.world import Building, Urg04lx, outline, pillar_hall, room, simulate_scans
 from processing import se2
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.filter import DpSlam
 from processing.motion import Motion
+from processing.odometry import Tracking
 from processing.scan import Beams, Scan
 from processing.slam import Slam, SlamConfig
 
@@ -92,6 +93,23 @@ def test_pillars_are_occupied_the_way_is_free_and_what_lies_outside_is_unknown(r
     assert np.isnan(grid.probability).mean() > 0.05
     occupied = (grid.probability > 0.65).sum()
     assert 200 < occupied < 3000
+
+
+def test_in_a_plain_corridor_the_mapper_goes_on_where_the_odometry_does():
+    # Two niches to begin with, and then nothing but two walls.
+    free = [(0.0, 0.0, 40.0, 2.0), (1.5, 2.0, 2.5, 2.8), (4.0, -0.8, 5.0, 0.0)]
+    plain = Building(outline(free), route=np.array(((1.0, 1.0), (39.0, 1.0))))
+    slam, steps, blind = Slam(CONFIG, seed=1), [], []
+    course = simulate_scans(plain, laser=LASER, speed_mps=0.5, max_scans=180, rest_s=0.0, seed=1)
+    for stamp_ns, ranges_m, world_t_laser in course:
+        step = slam.step(Scan(stamp_ns, ranges_m.copy(), BEAMS))
+        steps.append((step.match.motion.odom_t_laser, step.mapping.map_t_laser, world_t_laser))
+        blind.append(step.match.state is Tracking.DEGENERATE)
+    odometry, mapped, true = (np.hypot(*(way[-1] - way[100])[:2]) for way in zip(*steps, strict=True))
+    assert all(blind[100:])
+    assert true > 3.5
+    assert mapped == pytest.approx(odometry, rel=0.15)
+    assert odometry == pytest.approx(true, rel=0.15)
 
 
 def test_taken_up_again_the_run_goes_on_bit_for_bit(run, course):

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from processing.matching import Matcher, Matching, MatchingConfig
-from processing.motion import Motion, anew_covariance, following, lost_covariance
+from processing.motion import Motion, anew_covariance, doubted_covariance, following, lost_covariance
 from processing.ndt import Ndt, NdtConfig
 from processing.prediction import ConstantVelocity, PredictionConfig, Prior
 from processing.recovery import KeyScan, Recovery, covered
 from processing.se2 import invert, transform
 from processing.sightlines import judge
-from processing.tracking import FIT, SURE, Watch
+from processing.tracking import DOUBT_S, FIT, SURE, Watch
 
 URG_S, SICK_S, FAST_S = 0.0999, 0.1975, 1.0 / 75.0
 
@@ -65,6 +65,44 @@ def test_a_score_is_judged_by_what_is_usual_in_this_scene(usual):
     watch = watch_of(URG_S, usual)
     assert accepted(watch, matching(1.01 * FIT * usual))
     assert not accepted(watch, matching(0.98 * FIT * usual))
+
+
+def watched(watch, score, yaw_rad=0.0):
+    """A scan of a ring of 2 m at a heading, where one has looked at a ring of 4 m before."""
+    found = Matching(np.array((0.0, 0.0, yaw_rad)), score, -np.eye(3), 1e4 * np.eye(3), 1, 1, 1)
+    prior = Prior(found.pose, np.diag((400.0, 400.0, 400.0)))
+    return watch.accept(ring(2.0), found, prior, [KeyScan(np.zeros(3), ring(4.0))])
+
+
+def test_a_scan_that_fits_badly_is_doubted_on_known_ground_only():
+    watch = watch_of(URG_S)
+    assert watched(watch, 0.7 * 0.6)
+    assert watch.doubtful
+    assert watched(watch, 0.95 * 0.6)
+    assert not watch.doubtful
+    # Turned by a radian a quarter of its rays go where nobody has looked.
+    assert watched(watch, 0.7 * 0.6, yaw_rad=1.0)
+    assert not watch.doubtful
+
+
+def test_what_contradicts_the_map_for_long_is_believed_and_shakes_the_track_until_long_after():
+    watch = watch_of(URG_S)
+    assert not watch.shaken
+    doubted = []
+    for _ in range(round(2.0 * DOUBT_S / URG_S)):
+        # What is usual stays, or else such scores would soon be.
+        watch._usual = 0.6
+        watched(watch, 0.6 * 0.6)
+        doubted.append(watch.doubtful)
+        assert watch.shaken
+    believed = doubted.index(False)
+    assert believed * URG_S == pytest.approx(DOUBT_S, abs=URG_S)
+    assert not any(doubted[believed:])
+    calm_s = 0.0
+    while watch.shaken:
+        watched(watch, 0.6)
+        calm_s += URG_S
+    assert calm_s == pytest.approx(DOUBT_S, abs=URG_S)
 
 
 def test_what_is_usual_follows_the_scene_in_seconds_and_a_bad_scan_does_not_move_it():
@@ -178,8 +216,13 @@ def motion(x, covariance):
 def test_a_lost_motion_left_out_takes_nothing_away_and_a_new_beginning_stays_one():
     known = np.diag((1e-4, 1e-4, 1e-5))
     lost, anew = motion(1.0, lost_covariance()), motion(1.0, anew_covariance())
+    doubted = motion(1.0, doubted_covariance())
     assert lost.lost
+    assert doubted.lost
+    assert [m.doubted for m in (lost, doubted, anew)] == [False, True, False]
     assert not lost.anew
+    assert not doubted.anew
+    np.testing.assert_array_equal(following(doubted, motion(2.0, known)).covariance, known)
     assert anew.anew
     assert not anew.lost
     np.testing.assert_array_equal(following(lost, motion(2.0, known)).covariance, known)
