@@ -108,20 +108,25 @@ def test_the_bump_is_a_normal_density_without_its_ends():
     assert bump == pytest.approx(np.exp(-0.5 * (e / SIGMA_M) ** 2), abs=0.04)
 
 
-def by_hand(cells, start, reading, whole=True):
+def by_hand(cells, start, reading, whole=True, unseen=0.0, most=np.inf):
     """Likelihood of a ray along +x in row 0, from the model's words: cells {col: (stops, metres)}."""
     begin = start if whole else start + max(0.0, reading - NEAR_M)
     end = start + reading + NEAR_M
     edges = [begin, *(c * CELL_M for c in range(int(begin // CELL_M) + 1, int(end // CELL_M) + 1)), end]
-    reached, total = 1.0, 0.0
+    reached, total, frontier = 1.0, 0.0, False
     for a, b in itertools.pairwise(edges):
         stops, metres = cells.get(int((a + b) / 2 // CELL_M), (0.0, 0.0))
         stop = stop_probability(stops, metres, b - a)
         e = (a + b) / 2 - start - reading
         if abs(e) < NEAR_M:
-            total += reached * stop * (1.0 - (e / NEAR_M) ** 2) ** 8
+            bump = (1.0 - (e / NEAR_M) ** 2) ** 8
+            if metres == 0.0 and not frontier:
+                # The first cell there that nobody has looked into: before the reading as good as at it.
+                frontier = True
+                total += unseen * reached * (bump if e > 0.0 else 1.0)
+            total += reached * stop * bump
         reached *= 1.0 - stop
-    return np.log(FLOOR + total)
+    return np.log(min(FLOOR + total, most))
 
 
 @pytest.mark.parametrize("whole", [True, False])
@@ -132,6 +137,21 @@ def test_likelihoods_equal_the_sum_over_cells_computed_by_hand(reading, whole):
     cells = {col: value for (row, col), value in cells_of(store).items() if row == 0}
     found = score(store, [(0.0, 0.02, reading, 0.02)], whole)
     assert found == pytest.approx(by_hand(cells, 0.0, reading, whole), abs=1e-9)
+
+
+@pytest.mark.parametrize("most", [np.inf, 0.3])
+@pytest.mark.parametrize("whole", [True, False])
+@pytest.mark.parametrize("reading", [0.7, 0.93, 1.02, 1.1, 1.3, 2.0])
+def test_what_the_unseen_gives_and_the_most_leaves_equal_the_sum_over_cells(reading, whole, most):
+    # Free as far as a wall at 1 m, seen thrice, and nobody has looked behind it.
+    store = write([(0.0, 0.02, 1.0 + 0.004 * k, 0.02) for k in range(3)])
+    cells = {col: value for (row, col), value in cells_of(store).items() if row == 0}
+    ray = [(0.0, 0.02, reading, 0.02)]
+    found = score(store, ray, whole, unseen=0.4, most=most)
+    assert found == pytest.approx(by_hand(cells, 0.0, reading, whole, 0.4, most), abs=1e-9)
+    gained = np.exp(score(store, ray, whole, unseen=0.4)) - np.exp(score(store, ray, whole))
+    # Where the ray is read before all that is unseen there is nothing to gain; elsewhere there is.
+    assert (gained > 1e-4) == (reading > 0.8)
 
 
 def test_a_ray_through_a_wall_is_less_likely_than_one_that_stops_at_it():
