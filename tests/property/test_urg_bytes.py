@@ -3,7 +3,7 @@
 import itertools
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from drivers.urg04lx.decoder import BUFFER_BYTES, Decoder, Reply, ScanReply
@@ -99,6 +99,8 @@ def test_damage_inside_one_scan_never_gives_wrong_values_and_spares_the_neighbou
     ]
     # Not the end of the middle scan: losing that is damage to the border.
     place = at % (len(scans[1]) - 10)
+    # Six bits of a sum are all that vouches for a line: damage that keeps it cannot be seen by anybody.
+    assume(sum(new) % 64 != sum(scans[1][place : place + lost]) % 64)
     middle = scans[1][:place] + new + scans[1][place + lost :]
     found = plain(feed(Decoder(request_), [scans[0] + middle + scans[2]]))
     expected = (np.arange(request_.count) + 20).tolist()
