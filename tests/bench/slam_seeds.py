@@ -136,6 +136,10 @@ def _log(name: str, bound_m: float, *changes: Callable) -> Callable:
     return make
 
 
+_CORNERS = [(1.0, 1.0), (26.0, 1.0), (26.0, 26.0), (1.0, 26.0)]
+_FROM_A_CORNER = np.array((*_CORNERS, *_CORNERS, (1.0, 1.0), (10.0, 1.0)))
+"""Twice around the plain loop; its own route starts in mid side, where nothing is ever in sight."""
+
 COURSES: dict[str, Callable[[int], Drive | None]] = {
     "intel": _log("intel", 0.035),
     "fr079": _log("fr079", 0.06),
@@ -148,7 +152,7 @@ COURSES: dict[str, Callable[[int], Drive | None]] = {
     "demo fast": _simulated(world.demo_building, 0.1, speed_mps=0.6),
     "doors 20": _simulated(lambda: world.square_of_corridors(20.0), 0.1),
     "doors 20 twice": _simulated(lambda: world.square_of_corridors(20.0), 0.1, laps=2),
-    "loop 100": _simulated(world.loop_corridor, 0.1),
+    "loop 100 from a corner": _simulated(world.loop_corridor, 0.1, route=_FROM_A_CORNER),
     "loop 100 twice": _simulated(world.loop_corridor, 0.1, laps=2),
     "square 100": _simulated(
         lambda: world.square_of_corridors(100.0), 0.1, world.Sick, speed_mps=0.8, laps=2
