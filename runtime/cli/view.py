@@ -22,7 +22,9 @@ _TURN_S = 0.1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
-    parser.add_argument("file", type=Path, nargs="?", help="recording (.mcap or .rrd); else a running robot")
+    parser.add_argument(
+        "file", type=Path, nargs="?", help="recording (.mcap or .rrd) or session; else a running robot"
+    )
     parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
     parser.add_argument("--domain", type=int, default=0, help="ROS domain (default 0)")
     parser.add_argument(
