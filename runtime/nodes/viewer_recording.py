@@ -46,7 +46,16 @@ def draw(file: Path, canvas: Canvas, stopping: Callable[[], bool] = lambda: Fals
         if stopping():
             return taken
     scene.again()
+    if session is not None:
+        canvas.words(_words(session))
     return taken
+
+
+def _words(session: Session) -> str:
+    """Say what is shown, where a robot would tell its state."""
+    drives = "one drive" if session.drives == 1 else f"{session.drives} drives"
+    shown = "its map, its scans where they were made, the way of the last drive"
+    return f"# SAVED\n\nA session of {drives}: {shown}."
 
 
 def _recorded(file: Path, robot: str, scene: Scene) -> Iterator[Received]:
