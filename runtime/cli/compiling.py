@@ -34,8 +34,8 @@ CHAINS: tuple[tuple[float, tuple[str, ...]], ...] = (
     (2.5, ("saliency_kernels",)),
     (2.0, ("dpslam.ancestry",)),
 )
-"""Seconds of a slow core that each chain takes, only the ratios count, and its modules of `processing`:
-who uses another's loops comes after it."""
+"""CPU seconds that each chain takes, of which only the ratios count; and its modules of `processing`,
+who uses another's loops after it."""
 _SAY_EVERY_S = 3.0
 _WORK = "import importlib, sys\nfor m in sys.argv[1:]: importlib.import_module(m); print(m, flush=True)"
 

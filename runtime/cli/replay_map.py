@@ -135,7 +135,7 @@ def _drive(live: "Run") -> bool:
 
 
 def _report(out: Path, recorded: "Recorded", code: int, as_json: bool) -> int:
-    from runtime.formats.tum import read_tum, tum_stamp
+    from runtime.formats.tum import kept_ns, read_tum, tum_stamp
 
     played_file, result_file = out / "played.json", out / "trajectory.tum"
     if code not in (0, 130):
@@ -144,8 +144,7 @@ def _report(out: Path, recorded: "Recorded", code: int, as_json: bool) -> int:
         raise HallwayError(f"{out}: the run left no account of what was played; see {out}/logs")
     sent = json.loads(played_file.read_text(encoding="utf-8"))["scan_stamps_ns"]
     mapped = set(read_tum(result_file).stamps_ns.tolist()) if result_file.is_file() else set()
-    # TUM prints microseconds.
-    missing = [(n, s) for n, s in enumerate(sent, start=1) if (s + 500) // 1000 * 1000 not in mapped]
+    missing = [(n, s) for n, s in enumerate(sent, start=1) if kept_ns(s) not in mapped]
     report = {
         "out": str(out),
         "sent": len(sent),

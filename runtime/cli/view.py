@@ -131,12 +131,12 @@ def _session(robot: str, address: str | None) -> dict[str, Any]:
 
 
 def _show_recording(args: argparse.Namespace, config: "Config", folder: Path, asked: list[int]) -> int:
-    from runtime.nodes.viewer_recording import draw, robot_of
+    from runtime.nodes.viewer_recording import draw, shown
 
-    robot = robot_of(args.file)
-    with _target(config, folder, robot) as (screen, server):
-        drawn = draw(args.file, screen, lambda: bool(asked))
-        print(f"{args.file}: {drawn} messages of {robot!r}", file=sys.stderr)
+    content = shown(args.file)
+    with _target(config, folder, content.name) as (screen, server):
+        drawn = draw(content, screen, lambda: bool(asked))
+        print(f"{args.file}: {drawn} messages of {content.name!r}", file=sys.stderr)
         if server is None:
             screen.close(60.0)
             print(f"saved to {config.file}", file=sys.stderr)

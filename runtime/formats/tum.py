@@ -31,8 +31,13 @@ class Trajectory:
 
 def tum_stamp(stamp: int) -> str:
     """Print a stamp as seconds with six decimals, rounded from its nanoseconds."""
-    seconds, micros = divmod((stamp + 500) // 1000, 1_000_000)
+    seconds, micros = divmod(kept_ns(stamp) // 1000, 1_000_000)
     return f"{seconds}.{micros:06d}"
+
+
+def kept_ns(stamp: int) -> int:
+    """Return a stamp (ns) as it comes back from a file, which holds microseconds."""
+    return (stamp + 500) // 1000 * 1000
 
 
 def tum_lines(stamps_ns: NDArray[np.int64], poses: NDArray[np.float64]) -> Iterable[str]:

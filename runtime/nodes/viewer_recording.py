@@ -1,6 +1,7 @@
 """Draw a recording or a session at once, as if it had been looked at while it was made."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from runtime.errors import ConfigError
@@ -10,77 +11,95 @@ from runtime.messages import BadMessageError, decode
 from runtime.nodes.viewer_scene import SUBSCRIBES, Canvas, Scene
 from runtime.nodes.viewer_session import told
 from runtime.port import Received
-from runtime.session import Session, read_session
+from runtime.session import CutSessionError, Session, read_session, scans_of
 from runtime.topics import TOPICS
 
 
-def robot_of(file: Path) -> str:
-    """Return whose recording a file is; of a session, which knows no robot, its name.
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """What a file has to show."""
+
+    name: str
+    """Of the robot; of a session, which knows none, its own."""
+    messages: Iterator[Received]
+    """In the recorded order, once."""
+    words: str = ""
+    """Markdown, where a robot would tell its state; empty if one does."""
+
+
+def shown(file: Path) -> Shown:
+    """Open a recording, whole or cut, of whose robots the first is shown, or a whole session.
 
     Raises:
         ConfigError: It holds nothing that can be shown.
         FormatError: It is no MCAP file.
+        CutSessionError: A session whose end is missing: its scans alone lie nowhere.
     """
-    if _session(file) is not None:
-        return file.stem
-    for message in _shown(file):
-        return message.channel.topic.strip("/").partition("/")[0]
+    session = _session(file)
+    if session is not None:
+        return Shown(file.stem, told(session), _words(session))
+    for message in _drawable(file):
+        robot = _robot(message)
+        return Shown(robot, _recorded(file, robot))
     raise ConfigError(f"{file}: nothing to show; must hold one of {', '.join(SUBSCRIBES)}")
 
 
-def draw(file: Path, canvas: Canvas, stopping: Callable[[], bool] = lambda: False) -> int:
-    """Draw all messages of the first robot in a recording, or of a whole session; return how many there were.
+def draw(content: Shown, canvas: Canvas, stopping: Callable[[], bool] = lambda: False) -> int:
+    """Draw everything; return how many messages there were.
 
     Args:
-        file: The recording, whole or cut, or the session; of a cut session the scans alone.
-        canvas: Takes everything, in the recorded order.
+        content: What there is to draw.
+        canvas: Takes it.
         stopping: Asked after each message.
     """
-    session = _session(file)
-    robot = robot_of(file)
-    scene = Scene(robot, lambda kind, paint: paint(canvas))
+    scene = Scene(content.name, lambda kind, paint: paint(canvas))
     taken = 0
-    for received in told(session) if session is not None else _recorded(file, robot, scene):
+    for received in content.messages:
         scene.take(received)
         taken += 1
         if stopping():
             return taken
+    # What was drawn seldom ends as it was last.
     scene.again()
-    if session is not None:
-        canvas.words(_words(session))
+    if content.words:
+        canvas.words(content.words)
     return taken
 
 
+def _session(file: Path) -> Session | None:
+    try:
+        return read_session(file)
+    except CutSessionError:
+        if next(scans_of(file), None) is not None:
+            raise
+    except FormatError:
+        pass
+    return None
+
+
 def _words(session: Session) -> str:
-    """Say what is shown, where a robot would tell its state."""
     drives = "one drive" if session.drives == 1 else f"{session.drives} drives"
-    shown = "its map, its scans where they were made, the way of the last drive"
-    return f"# SAVED\n\nA session of {drives}: {shown}."
+    content = "its map, its scans where they were made, the way of the last drive"
+    return f"# SAVED\n\nA session of {drives}: {content}."
 
 
-def _recorded(file: Path, robot: str, scene: Scene) -> Iterator[Received]:
-    for message in _shown(file):
-        if message.channel.topic.strip("/").partition("/")[0] != robot:
+def _recorded(file: Path, robot: str) -> Iterator[Received]:
+    for message in _drawable(file):
+        if _robot(message) != robot:
             continue
-        name, sequence = message.channel.name, message.sequence
         try:
             content = decode(message.payload, message.channel.msgtype)
         except BadMessageError:
-            scene.refused += 1
             continue
-        yield Received(name, content, sequence, message.publish_ns, message.log_ns)
+        yield Received(message.channel.name, content, message.sequence, message.publish_ns, message.log_ns)
 
 
-def _session(file: Path) -> Session | None:
-    """Return a whole session; None for a recording, and for a session that was cut."""
-    try:
-        return read_session(file)
-    except FormatError:
-        return None
-
-
-def _shown(file: Path) -> Iterator[McapMessage]:
+def _drawable(file: Path) -> Iterator[McapMessage]:
     for message in McapReader(file).messages():
         name = message.channel.name
         if name in SUBSCRIBES and message.channel.msgtype == TOPICS[name].type:
             yield message
+
+
+def _robot(message: McapMessage) -> str:
+    return message.channel.topic.strip("/").partition("/")[0]

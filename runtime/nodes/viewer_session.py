@@ -13,7 +13,7 @@ from processing.motion import Motion
 from processing.se2 import Pose, between
 from runtime import messages
 from runtime.formats.map_server import FREE, OCCUPIED
-from runtime.formats.tum import read_tum
+from runtime.formats.tum import kept_ns, read_tum
 from runtime.messages import decode
 from runtime.nodes.convert import motion_to_message, pose_to_message
 from runtime.port import Received
@@ -33,7 +33,7 @@ def told(session: Session) -> Iterator[Received]:
     poses = _poses(session.parts)
     drive_before, stamp_before, pose_before = 0, 0, np.zeros(3)
     for drive, stamp_ns, payload in scans_of(session.path):
-        pose = poses.get((stamp_ns + 500) // 1000)
+        pose = poses.get(kept_ns(stamp_ns))
         if pose is None:
             continue
         header = messages.header(stamp_ns, "map")
@@ -74,10 +74,9 @@ def cells_of(picture: bytes) -> NDArray[np.int8]:
 
 
 def _poses(parts: Parts) -> dict[int, Pose]:
-    """Return the saved poses by their stamps, microseconds: TUM holds no more digits."""
+    """Return the saved poses by their stamps, ns, as TUM keeps them."""
     with tempfile.NamedTemporaryFile(suffix=".tum") as file:
         file.write(parts.trajectory)
         file.flush()
         trajectory = read_tum(Path(file.name))
-    microseconds = trajectory.stamps_ns // 1000
-    return dict(zip(microseconds.tolist(), trajectory.poses, strict=True))
+    return dict(zip(trajectory.stamps_ns.tolist(), trajectory.poses, strict=True))

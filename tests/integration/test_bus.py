@@ -190,6 +190,9 @@ class TestBus:
         handle.close()
         handle.close()
         ours.close()
+        theirs = next(sessions)
+        theirs.token("@ros2_lv/0/a/x")
+        assert until(lambda: theirs.tokens("@ros2_lv/0/*/x")) == ["@ros2_lv/0/a/x"]
 
 
 def test_no_session_listens_on_a_network(zenoh_sessions, tmp_path):

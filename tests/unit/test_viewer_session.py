@@ -8,9 +8,9 @@ from PIL import Image
 
 from runtime.formats.tum import tum_lines
 from runtime.messages import LaserScan, encode, header
-from runtime.nodes.viewer_recording import draw, robot_of
+from runtime.nodes.viewer_recording import draw, shown
 from runtime.nodes.viewer_session import cells_of
-from runtime.session import Parts, SessionWriter
+from runtime.session import CutSessionError, Parts, SessionWriter
 
 # Rows from the top, as a picture has them: wall and unknown, then free and free.
 PICTURE = np.array(((0, 205), (254, 254)), dtype=np.uint8)
@@ -72,8 +72,9 @@ def test_the_picture_of_a_map_lies_in_cells_as_ros_has_them():
 
 def test_a_session_shows_its_map_its_scans_and_the_way_of_the_last_drive(session):
     canvas = Canvas()
-    assert robot_of(session) == "kitchen"
-    assert draw(session, canvas) == 1 + 2 + 15 * 3  # the map, two beginnings, three messages a scan
+    content = shown(session)
+    assert content.name == "kitchen"
+    assert draw(content, canvas) == 1 + 2 + 15 * 3  # the map, two beginnings, three messages a scan
     cells, resolution_m, origin_m = canvas.of("grid")[-1]
     assert (cells.tolist(), resolution_m, origin_m) == ([[0, 0], [100, -1]], 0.05, (-1.0, 3.0))
     assert canvas.of("words")[-1][0].startswith("# SAVED\n\nA session of 2 drives")
@@ -85,10 +86,8 @@ def test_a_session_shows_its_map_its_scans_and_the_way_of_the_last_drive(session
     np.testing.assert_allclose(np.hypot(*(rays - lasers[-1, :2]).T), 2.0, atol=0.02)
 
 
-def test_of_a_cut_session_the_scans_alone_are_told(session):
+def test_a_cut_session_is_refused_with_the_way_to_map_it_again(session):
     data = session.read_bytes()
     session.write_bytes(data[: len(data) - 40])
-    canvas = Canvas()
-    assert draw(session, canvas) == 8
-    assert robot_of(session) == "drive_1"
-    assert canvas.of("grid") == []
+    with pytest.raises(CutSessionError, match="hallway map"):
+        shown(session)
