@@ -211,10 +211,15 @@ time.sleep(600)
 def test_a_spare_process_takes_over_and_another_stands_by_for_it(scene, monkeypatch):
     monkeypatch.setattr("runtime.child._SPARE_AFTER_S", 0.0)
     stage = scene({"a": SPARE}, a=NodeSpec(module="m", spare=True))
+    # Nobody is ready before the line is in the log: a spare that starts beside it could write first.
+    stage.until(lambda: stage.wrote("a", "works\n"))
     stage.ready = {"a"}
     stage.until(lambda: stage.wrote("a", "works\nstands by\n"))
     spare = stage.children["a"]._spare.pid
+    stage.ready = set()
     os.kill(stage.children["a"].pid, signal.SIGKILL)
+    stage.until(lambda: stage.wrote("a", "works\nstands by\nworks\n"))
+    stage.ready = {"a"}
     stage.until(lambda: stage.wrote("a", "works\nstands by\nworks\nstands by\n"))
     assert stage.children["a"].pid == spare
     last = stage.children["a"]._spare.pid
