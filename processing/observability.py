@@ -21,9 +21,10 @@ Rooms, halls and corridors with something in sight know every direction of a sca
 information of the score; a plain corridor leaves the one along it at 0.026 m and more, a corner just behind
 or the edge of the map in sight included.
 """
-BLIND_SHARE = 1.0
-"""A slow laser's scan tells something though it is rough: what counts as not seen is at least so many times
-what the motion is uncertain by."""
+BLIND_SHARE = 1.5
+"""What counts as not seen is at least so many times what the motion is uncertain by: from there on a scan
+would hardly change what is expected. A slow laser's scan, a quarter as certain as a fast one's, still tells:
+held to the same limit, a robot that sets out where little is in sight is taken to stand still."""
 UNSEEN_SPEED_M_S = 0.3
 """How far the velocity along an unseen direction may be off, until it was seen once: robots of this kind go
 no faster."""
