@@ -16,8 +16,14 @@ from processing.se2 import Pose, between, compose, invert
 Twist = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-CRUISE_S = (2.0, 1.0, 0.5)
-"""Times over which a velocity may have been steady."""
+CRUISE_S = (8.0, 6.0, 4.0, 3.0, 2.0, 1.0, 0.5)
+"""Times over which a velocity may have been steady, the longest first."""
+EVEN_M_S = 0.03
+"""What the means of the two halves of such a time may differ by."""
+TURNING_RAD_S = 0.1
+"""Who turns faster drives at another speed than straight on,"""
+TURNING_S = 0.5
+"""in the mean over so long."""
 STEADY_M_S = 0.15
 """What the filter's velocity may be off a steady one; farther, and the laser has changed its speed."""
 LEAST_INFORMATION = 1e-6
@@ -99,39 +105,59 @@ def weakened(information_laser: Matrix, prior: Prior, pose: Pose) -> Matrix:
 class Cruise:
     """The velocity that the laser has had for a while: where its way is not seen, it goes on with it.
 
-    The filter follows every jerk, and so the noise of every match; a mean over two seconds of what was seen
-    is known five times as well.
+    The filter follows every jerk, and so the noise of every match; a mean over seconds of what was seen is
+    known many times as well.
     """
 
     def __init__(self, period_s: float) -> None:
         self._counts = [max(1, round(window_s / period_s)) for window_s in CRUISE_S]
-        self._seen: deque[NDArray[np.float64]] = deque(maxlen=self._counts[0])
+        self._turning = max(1, round(TURNING_S / period_s))
+        self._seen: deque[Twist] = deque(maxlen=self._counts[0])
         self._held: NDArray[np.float64] | None = None
 
     def see(self, motion: Pose, duration_s: float) -> None:
         """Take in a motion (3,) of which every direction was seen."""
-        self._seen.append(logarithm(motion)[:2] / duration_s)
+        self._seen.append(logarithm(motion) / duration_s)
         self._held = None
 
     def velocity(self, twist: Twist) -> NDArray[np.float64]:
         """Return the velocity (2,), laser frame, to go on with until everything is seen again.
 
-        It is the mean over the longest time in which it was about the present one.
+        It is the mean over the longest time since the last turn in which it was about the present one and
+        did not change; the present one if there is none.
 
         Args:
             twist: (3,) of the filter: the present one, roughly.
         """
         if self._held is None:
-            seen = np.array((*self._seen, twist[:2]))
-            means = [seen[-count:].mean(axis=0) for count in self._counts]
+            straight = self._straight(np.array((*self._seen, twist)))
+            windows = (straight[-count:] for count in self._counts)
+            means = (window.mean(axis=0) for window in windows if _is_even(window))
             steady = (mean for mean in means if np.hypot(*(mean - twist[:2])) < STEADY_M_S)
             self._held = next(steady, twist[:2].copy())
         return self._held
+
+    def _straight(self, twists: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the velocities (M, 2) since the last turn, of the shortest time at least."""
+        count = min(self._turning, len(twists))
+        turn_rates = np.convolve(twists[:, 2], np.full(count, 1.0 / count), mode="same")
+        turns = np.flatnonzero(np.abs(turn_rates) > TURNING_RAD_S)
+        first = int(turns[-1]) + 1 if len(turns) else 0
+        return twists[min(first, max(0, len(twists) - self._counts[-1])) :, :2]
 
     def forget(self) -> None:
         """Begin anew: what was is no more."""
         self._seen.clear()
         self._held = None
+
+
+def _is_even(velocities: NDArray[np.float64]) -> bool:
+    """Whether velocities (M, 2), M >= 1, are the same in both halves of their time."""
+    half = len(velocities) // 2
+    if half == 0:
+        return True
+    change = velocities[half:].mean(axis=0) - velocities[:half].mean(axis=0)
+    return bool(np.hypot(change[0], change[1]) < EVEN_M_S)
 
 
 class ConstantVelocity:

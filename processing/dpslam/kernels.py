@@ -48,7 +48,7 @@ def refine_all(
         )
 
 
-@njit(f"void({_MAP}, f8[:,::1], f8[:,::1], i8, b1, f8, f8, u1[::1], f8[::1])", cache=True, nogil=True)
+@njit(f"void({_MAP}, f8[:,::1], f8[:,::1], i8, b1, f8, u1[::1], f8[::1])", cache=True, nogil=True)
 def weigh_all(
     store: Arrays,
     table: Table,
@@ -59,7 +59,6 @@ def weigh_all(
     every: int,
     whole: bool,
     unseen: float,
-    most: float,
     chosen: NDArray[np.uint8],
     scores: NDArray[np.float64],
 ) -> None:
@@ -68,9 +67,7 @@ def weigh_all(
     for p in range(poses.shape[0]):
         if chosen[p]:
             place_rays(poses[p], rays, placed)
-            scores[p] = score_rays(
-                store, table, p, first_row, first_col, placed, 0, every, whole, unseen, most
-            )
+            scores[p] = score_rays(store, table, p, first_row, first_col, placed, 0, every, whole, unseen)
 
 
 @njit("i8(f8[:,::1])", cache=True, nogil=True)

@@ -157,7 +157,7 @@ def _likelihood(
     return float(FLOOR + likelihood)
 
 
-@njit(f"f8({_STORE}, i4[:,:,::1], i8, i8, i8, f8[:,::1], i8, i8, b1, f8, f8)", cache=True, nogil=True)
+@njit(f"f8({_STORE}, i4[:,:,::1], i8, i8, i8, f8[:,::1], i8, i8, b1, f8)", cache=True, nogil=True)
 def score_rays(
     store: Arrays,
     table: Table,
@@ -169,18 +169,15 @@ def score_rays(
     every: int,
     whole: bool,
     unseen: float,
-    most: float,
 ) -> float:
     """Return the log-likelihood of rays `begin`, `begin + every`, ... in one particle's map.
 
     `whole`: walk from the laser; else only the stretch around the reading, as if the way there were free.
     `unseen`: what a ray gains by coming to space that nobody has looked into where it was read, or before.
-    `most`: likelihoods above it count as that much.
     """
     total = 0.0
     for i in range(begin, rays_map.shape[0], every):
-        likelihood = _likelihood(store, table, particle, first_row, first_col, rays_map, i, whole, unseen)
-        total += np.log(min(likelihood, most))
+        total += np.log(_likelihood(store, table, particle, first_row, first_col, rays_map, i, whole, unseen))
     return total
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from processing.dpslam.settled import SettledMap
 from processing.motion import carried
 from processing.ndt import Points
+from processing.observability import view
 from processing.se2 import Pose, between, compose, transform, wrap
 from processing.smoothing import Relations, smooth
 from processing.wide_match import build_field, search
@@ -245,7 +246,8 @@ class Loops:
         if len(off) == 0 or off.min() > 5.0:
             return False
         near = int(off.argmin())
-        known = _in_map(POINT_GAIN * information, -map_t_laser[2]) + 1e-3 * np.eye(3)
+        # The edge of what is known would tie it along a corridor, to wherever it happens to lie.
+        known = _in_map(POINT_GAIN * view(information).information, -map_t_laser[2]) + 1e-3 * np.eye(3)
         measured = between(settled[near], map_t_laser)
         self.places.append((near, len(self.path) - 1, measured, known, doubt))
         self._drift = np.asarray(np.linalg.inv(np.linalg.inv(self._drift + 1e-9 * np.eye(3)) + known))

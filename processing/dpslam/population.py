@@ -13,7 +13,7 @@ from processing.dpslam.grid import TileStore
 from processing.dpslam.laser_model import judge_rays, place_rays
 from processing.dpslam.memory import KeyScans
 from processing.dpslam.proposal import Matrix, held, noise_root, priors
-from processing.dpslam.resampling import effective_size, normalise, systematic_parents
+from processing.dpslam.resampling import effective_size, normalise, sparing, systematic_parents
 from processing.dpslam.sweep import Sweep
 from processing.scan import Beams
 from processing.se2 import Pose
@@ -25,13 +25,12 @@ CHEAP_EVERY = 3
 NEGLIGIBLE = 13.0
 """Particles whose log weight is so far under the best after the cheap scoring are not scored in full."""
 
-FAITH = 4.0
-"""The best particle stays it until another one's log weight is so much higher: maps do not flicker."""
+FAITH = 8.0
+"""The best particle stays it until another one's log weight is so much higher. It goes where the motion says;
+another one has strayed from there by chance, and on new ground nothing but chance tells them apart."""
 
 ARRIVAL = np.array((0.02, 0.02, 0.01))
 """How well a place found on the map is known, one sigma; m, m, rad."""
-BLIND_MOST = 0.25
-"""Likelihood from which a ray goes well together with the map, where a direction is not seen."""
 NEUTRAL, NEUTRAL_RAYS = -0.7, 10.0
 """Log-likelihood of a ray that ends on known ground, until so many rays have told."""
 KNOWN = 0.3
@@ -79,7 +78,10 @@ class Population:
         predicted = np.ascontiguousarray(se2.compose(se2.compose(self.poses, key_t_laser), normal @ root.T))
         blind = self._refine(sweep, predicted, root)
         rays = sweep.rays[:: max(1, len(sweep.rays) // self.config.rays)].copy()
-        self._weigh(rays, blind)
+        if not blind:
+            # Where a direction is not seen the rays tell nothing of it, and all else was refined: what they
+            # would weigh is how often the laser has looked at a wall, and those that lag behind would win.
+            self._weigh(rays)
         heaviest = int(np.argmax(self.log_weights))
         if self.log_weights[heaviest] > self.log_weights[self.best] + FAITH:
             self.best = heaviest
@@ -180,16 +182,15 @@ class Population:
         known, fit = self._known(rays)
         self.misfits = self.misfits + 1 if known >= KNOWN and fit < MISFIT else 0
 
-    def _weigh(self, rays: NDArray[np.float64], blind: bool) -> None:
+    def _weigh(self, rays: NDArray[np.float64]) -> None:
         c = self.config
         chosen = np.ones(c.particles, dtype=np.uint8)
         cheap, full = np.zeros(c.particles), np.zeros(c.particles)
-        # A wall that is known better tells only how often the laser was here: blind, contradictions count.
-        unseen, most = (BLIND_MOST, BLIND_MOST) if blind else (self._usual(rays), np.inf)
-        kernels.weigh_all(*self.store.maps, rays, self.poses, CHEAP_EVERY, False, unseen, most, chosen, cheap)
+        unseen = self._usual(rays)
+        kernels.weigh_all(*self.store.maps, rays, self.poses, CHEAP_EVERY, False, unseen, chosen, cheap)
         estimate = self.log_weights + c.tempering * CHEAP_EVERY * cheap
         chosen = (estimate >= estimate.max() - NEGLIGIBLE).astype(np.uint8)
-        kernels.weigh_all(*self.store.maps, rays, self.poses, 1, True, unseen, most, chosen, full)
+        kernels.weigh_all(*self.store.maps, rays, self.poses, 1, True, unseen, chosen, full)
         survivors = self.log_weights + c.tempering * full
         self.log_weights = normalise(np.where(chosen, survivors, -1e300))
 
@@ -211,9 +212,7 @@ class Population:
         return float(known), float(fit)
 
     def _select(self, parents: NDArray[np.int32]) -> None:
-        if parents[self.best] != self.best:
-            self.best = int(np.argmax(self.log_weights))
+        parents, self.log_weights = sparing(parents, self.log_weights, self.best)
         self.ancestry.resample(parents)
         self.store.resample(parents)
         self.poses = self.poses[parents]
-        self.log_weights = np.full(len(parents), -np.log(len(parents)))

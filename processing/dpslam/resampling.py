@@ -36,3 +36,28 @@ def systematic_parents(log_weights: NDArray[np.float64], u: float) -> NDArray[np
     parents = np.arange(particles, dtype=np.int32)
     parents[children == 0] = np.repeat(parents, np.maximum(children - 1, 0))
     return parents
+
+
+def sparing(
+    parents: NDArray[np.int32], log_weights: NDArray[np.float64], spared: int
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """Let one particle live on in a selection under its own weight, where it was not drawn.
+
+    Args:
+        parents: (P,) drawn, every survivor in its place.
+        log_weights: (P,) normalised, before the selection.
+        spared: The particle.
+
+    Returns:
+        (P,) parents and (P,) normalised log weights after the selection. A particle that was not drawn weighs
+        less than one in P; with that chance to be drawn besides, it counts at most twice.
+    """
+    particles = len(parents)
+    if parents[spared] == spared:
+        return parents, np.full(particles, -np.log(particles))
+    parents = parents.copy()
+    parents[spared] = spared
+    own = np.exp(log_weights[spared])
+    after = np.full(particles, np.log((1.0 - own) / (particles - 1)))
+    after[spared] = log_weights[spared]
+    return parents, after

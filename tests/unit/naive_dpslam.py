@@ -95,7 +95,7 @@ class NaiveMap:
                     stops, metres = int(stops * (memory / seen)), int(metres * (memory / seen))
                 cell[0], cell[1] = stops, min(metres, int(memory * CELL_M * METRES))
 
-    def log_likelihood(self, rays_map, every, whole, unseen=0.0, most=math.inf):
+    def log_likelihood(self, rays_map, every, whole, unseen=0.0):
         m = laser_model
         total = 0.0
         for x0, y0, x1, y1 in rays_map[::every]:
@@ -131,7 +131,7 @@ class NaiveMap:
                     depth += thick
                     if depth > m.OPAQUE:
                         break
-            total += math.log(min(m.FLOOR + likelihood, most))
+            total += math.log(m.FLOOR + likelihood)
         return total
 
     def known(self, rays_map):
@@ -326,21 +326,8 @@ class NaiveDpSlam:
         self.poses, blind = held(poses, predicted, informations / population.GAIN)
         rays = sweep.rays[:: max(1, len(sweep.rays) // c.rays)]
         seen = [placed(pose, rays) for pose in self.poses]
-        if blind @ np.exp(self.log_weights) > 0.5:
-            allowed = (population.BLIND_MOST, population.BLIND_MOST)
-        else:
-            share, fit = self.maps[self.best].known(seen[self.best])
-            known, few = share * len(rays), population.NEUTRAL_RAYS
-            allowed = (float(np.exp((known * fit + few * population.NEUTRAL) / (known + few))), math.inf)
-        pairs = list(zip(self.maps, seen, strict=True))
-        cheap = np.array([own_map.log_likelihood(r, 3, False, *allowed) for own_map, r in pairs])
-        estimate = self.log_weights + c.tempering * 3.0 * cheap
-        weights = np.full(count, -1e300)
-        for i in np.flatnonzero(estimate >= estimate.max() - population.NEGLIGIBLE):
-            full = self.maps[i].log_likelihood(seen[i], 1, True, *allowed)
-            weights[i] = self.log_weights[i] + c.tempering * full
-        peak = weights.max()
-        self.log_weights = weights - (peak + np.log(np.exp(weights - peak).sum()))
+        if not blind @ np.exp(self.log_weights) > 0.5:
+            self._weigh(rays, seen)
         heaviest = int(np.argmax(self.log_weights))
         if self.log_weights[heaviest] > self.log_weights[self.best] + population.FAITH:
             self.best = heaviest
@@ -350,6 +337,21 @@ class NaiveDpSlam:
         if 1.0 / np.exp(2.0 * self.log_weights).sum() < count / 2:
             self._select(uniform)
         return misfit
+
+    def _weigh(self, rays, seen):
+        c = self.config
+        share, fit = self.maps[self.best].known(seen[self.best])
+        known, few = share * len(rays), population.NEUTRAL_RAYS
+        usual = float(np.exp((known * fit + few * population.NEUTRAL) / (known + few)))
+        pairs = list(zip(self.maps, seen, strict=True))
+        cheap = np.array([own_map.log_likelihood(r, 3, False, usual) for own_map, r in pairs])
+        estimate = self.log_weights + c.tempering * 3.0 * cheap
+        weights = np.full(c.particles, -1e300)
+        for i in np.flatnonzero(estimate >= estimate.max() - population.NEGLIGIBLE):
+            full = self.maps[i].log_likelihood(seen[i], 1, True, usual)
+            weights[i] = self.log_weights[i] + c.tempering * full
+        peak = weights.max()
+        self.log_weights = weights - (peak + np.log(np.exp(weights - peak).sum()))
 
     def _select(self, uniform):
         count = self.config.particles
@@ -362,10 +364,14 @@ class NaiveDpSlam:
         # Survivors keep their places, and the others take those of the dead, in order.
         spare = [i for i in range(count) for _ in range(children[i] - 1)]
         parents = [i if children[i] else spare.pop(0) for i in range(count)]
+        after = np.full(count, -np.log(count))
+        if parents[self.best] != self.best:
+            # The best one lives on, in its place and with its weight.
+            parents[self.best] = self.best
+            after[:] = np.log((1.0 - np.exp(self.log_weights[self.best])) / (count - 1))
+            after[self.best] = self.log_weights[self.best]
         self.maps = [self.maps[p].copy() for p in parents]
         self.paths = [list(self.paths[p]) for p in parents]
         self.poses = self.poses[parents]
-        if parents[self.best] != self.best:
-            self.best = int(np.argmax(self.log_weights))
-        self.log_weights = np.full(count, -np.log(count))
+        self.log_weights = after
         self.selections += 1

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from processing.dpslam.resampling import effective_size, normalise, systematic_parents
+from processing.dpslam.resampling import effective_size, normalise, sparing, systematic_parents
 
 
 def test_weights_sum_to_one_whatever_their_offset():
@@ -57,3 +57,28 @@ def test_the_borders_of_the_random_number_draw_nobody_who_has_no_weight(u):
     parents = systematic_parents(np.log(np.full(7, 1 / 7)), u)
     assert set(parents.tolist()) <= set(range(7))
     assert len(set(parents.tolist())) >= 6
+
+
+def test_one_that_was_not_drawn_lives_on_under_its_own_weight():
+    weights = np.array((0.02, 0.5, 0.3, 0.18))
+    parents = systematic_parents(np.log(weights), 0.3)
+    assert parents[0] != 0
+    spared, after = sparing(parents, np.log(weights), 0)
+    assert spared[0] == 0
+    assert np.array_equal(spared[1:], parents[1:])
+    assert np.array_equal(spared[spared], spared)
+    assert np.exp(after) == pytest.approx((0.02, 0.98 / 3, 0.98 / 3, 0.98 / 3))
+
+
+def test_one_that_was_drawn_needs_nothing():
+    log_weights = np.log((0.1, 0.5, 0.3, 0.1))
+    parents = systematic_parents(log_weights, 0.3)
+    spared, after = sparing(parents, log_weights, 1)
+    assert np.array_equal(spared, parents)
+    assert np.exp(after) == pytest.approx(0.25)
+
+
+def test_one_without_weight_is_spared_and_stays_without():
+    spared, after = sparing(np.array((1, 1, 1), dtype=np.int32), np.array((-1e300, 0.0, -1e300)), 0)
+    assert spared.tolist() == [0, 1, 1]
+    assert np.exp(after) == pytest.approx((0.0, 0.5, 0.5))
