@@ -21,6 +21,8 @@ CELL_M = 0.25
 _STAGES = np.array(((0.01, 0.0), (0.0, 0.0)))
 """Variances (m^2) that widen the cells: first a decimetre, for the basin; then as they are. No finer
 cells."""
+PIECE = 2048
+"""Points that are worked in at a time."""
 _FREE = 1e9
 """Degrees of freedom of a normal prior."""
 
@@ -56,9 +58,9 @@ class SettledMap:
         """Work points (N, 2) into the map."""
         if len(points_map) == 0:
             return
-        self._make_room(points_map)
+        self._cover(points_map)
         points = np.ascontiguousarray(points_map)
-        accumulate(points, self._origin, self._slots, self._sums, self._places, self._counts)
+        self._accumulate(points)
         self._counts[1] = refit(
             points, self._origin, self._slots, self._sums, self._normals, self._rule, self._counts[1]
         )
@@ -68,9 +70,11 @@ class SettledMap:
         self.clear()
         if len(points_map) == 0:
             return
-        self._make_room(points_map)
+        self._cover(points_map)
         points = np.ascontiguousarray(points_map)
-        accumulate(points, self._origin, self._slots, self._sums, self._places, self._counts)
+        # Piece by piece: the room for all points at once would be that of the drive, not of its area.
+        for first in range(0, len(points), PIECE):
+            self._accumulate(points[first : first + PIECE])
         self._counts[1] = refit_all(
             self._places, self._counts[0], self._slots, self._sums, self._normals, self._rule, self._counts[1]
         )
@@ -106,8 +110,18 @@ class SettledMap:
         self._sums, self._places = state["sums"].copy(), state["places"].copy()
         self._normals, self._counts = state["normals"].copy(), state["counts"].copy()
 
-    def _make_room(self, points: Points) -> None:
-        """Let the window cover the points with a border, and the tables hold what they may add."""
+    def _accumulate(self, points: Points) -> None:
+        """Add points (N, 2) within the window to the sums of their half cells."""
+        need = int(self._counts[0]) + len(points)
+        if need > len(self._sums):
+            size = 2 * need
+            self._sums = _longer(self._sums, size)
+            self._places = _longer(self._places, size)
+            self._normals = _longer(self._normals, 4 * size)
+        accumulate(points, self._origin, self._slots, self._sums, self._places, self._counts)
+
+    def _cover(self, points: Points) -> None:
+        """Let the window cover the points (N, 2) with a border."""
         low = np.floor(points.min(axis=0) / self._half_m).astype(np.int64) - 2
         high = np.floor(points.max(axis=0) / self._half_m).astype(np.int64) + 3
         old_low = np.round(self._origin[:2] / self._half_m).astype(np.int64)
@@ -125,12 +139,6 @@ class SettledMap:
             self._slots = slots
             self._origin[:2] = new_low * self._half_m
             self._shift(np.asarray((old_low - new_low) * self._half_m, dtype=np.float64))
-        need = int(self._counts[0]) + len(points)
-        if need > len(self._sums):
-            size = 2 * need
-            self._sums = _longer(self._sums, size)
-            self._places = _longer(self._places, size)
-            self._normals = _longer(self._normals, 4 * size)
 
     def _shift(self, moved: NDArray[np.float64]) -> None:
         """Express sums and normals from a corner that lies `moved` (2,) m down and left of the old one."""

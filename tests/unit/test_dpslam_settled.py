@@ -93,3 +93,16 @@ def test_a_wall_holds_across_itself_only():
     # Nothing holds it along the wall but a prior of a metre.
     assert abs(fit.map_t_points[0] - (5.0 + 0.3 * CELL_M)) < 0.06
     assert fit.information[0, 0] < 1e-2 * fit.information[1, 1]
+
+
+def test_built_anew_it_takes_the_room_of_its_area_and_not_that_of_its_points():
+    points = room() - (3.0, 2.0)
+    once, often = SettledMap(), SettledMap()
+    once.rebuild(points)
+    often.rebuild(np.tile(points, (25, 1)))
+    sizes = [sum(part.nbytes for part in settled.state().values()) for settled in (once, often)]
+    assert sizes[1] < 2 * sizes[0]
+    probe = np.random.default_rng(1).uniform(-3.5, 3.5, (500, 2))
+    known = once.fits(probe, np.zeros(3)) >= 0.0
+    assert known.sum() > 50
+    assert (often.fits(probe, np.zeros(3)) >= 0.0)[known].all()
