@@ -82,6 +82,9 @@ DOUBT = 12.0
 """Chi-square at which a place is doubted: 3 degrees of freedom pass it once in a hundred."""
 GATE = 20.0
 """Chi-square of a closure against the drift beyond which it is another place that looks alike."""
+UNSEEN_M = 0.045
+"""Deviation of the motion between key scans from which the odometry did not see: half as much again as that
+up to which one that it saw is doubted."""
 FAR_M = 0.5
 """Drift (one sigma) from which neighbouring doors may be mistaken for each other."""
 QUERY_POINTS = 400
@@ -233,7 +236,7 @@ class Loops:
             fits = self._map.fits(points, fit.map_t_points)
             good = (fits > FITTING).sum() > 0.5 * max(int((fits >= 0.0).sum()), 1)
             if good and (np.abs(between(at, fit.map_t_points)) < MOST_CORRECTION).all():
-                self._relate(fit.map_t_points, fit.information, DOUBT)
+                self._relate(fit.map_t_points, self._honest(fit.information, at[2]), DOUBT)
                 self._misses = 0
         if self._misses > PATIENCE:
             self.linked, self._pending = False, None
@@ -246,12 +249,24 @@ class Loops:
         if len(off) == 0 or off.min() > 5.0:
             return False
         near = int(off.argmin())
-        # The edge of what is known would tie it along a corridor, to wherever it happens to lie.
-        known = _in_map(POINT_GAIN * view(information).information, -map_t_laser[2]) + 1e-3 * np.eye(3)
+        known = _in_map(POINT_GAIN * information, -map_t_laser[2]) + 1e-3 * np.eye(3)
         measured = between(settled[near], map_t_laser)
         self.places.append((near, len(self.path) - 1, measured, known, doubt))
         self._drift = np.asarray(np.linalg.inv(np.linalg.inv(self._drift + 1e-9 * np.eye(3)) + known))
         return True
+
+    def _honest(self, information: Matrix, yaw_rad: float) -> Matrix:
+        """Return what the map tells of the newest key scan (3, 3), map axes, without what it cannot know.
+
+        Along a corridor the edge of what is known ties a scan to wherever it happens to lie. That is so where
+        neither the map nor the odometry sees; few points on a wall at right angles are rough but true.
+        """
+        moved = _in_map(self.covariances[-1], yaw_rad)[:2, :2]
+        seen = np.eye(3)
+        for direction in view(information).unseen:
+            if direction @ moved @ direction > UNSEEN_M**2:
+                seen[:2, :2] -= np.outer(direction, direction)
+        return np.asarray(seen @ information @ seen)
 
     def _due(self) -> bool:
         every = self.config.try_every_m * (0.5 if self._pending else 1.0)
