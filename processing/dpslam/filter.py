@@ -234,6 +234,10 @@ class DpSlam:
         """Return stamps (N,) and map_t_laser (N, 3) of every scan so far, by the best particle's ancestry."""
         return self._trail.stamps_ns, self._trail.lay(self.population.path)
 
+    def odometry(self) -> Pose:
+        """Return odom_t_laser (N, 3) of every scan so far, as the motions said."""
+        return self._trail.odom_t_laser
+
     def occupancy(self) -> OccupancyGrid:
         """Return the best particle's map."""
         cells, corner = self.population.store.dense(self.population.best)

@@ -115,6 +115,10 @@ class Returning:
         """Return stamps (N,) and map_t_laser (N, 3) of every scan of all drives; of this one if not found."""
         return self._mapper.trajectory()
 
+    def odometry(self) -> Pose:
+        """Return odom_t_laser (N, 3) of the scans of `trajectory`; each drive has a frame of its own."""
+        return self._mapper.odometry()
+
     def occupancy(self) -> OccupancyGrid:
         """Return the map of everything, as painted; of this drive alone if it was not found."""
         grid = self._mapper.occupancy()

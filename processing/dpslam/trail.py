@@ -45,6 +45,11 @@ class Trail:
         """(N,) stamps of all scans, in the order in which they came."""
         return self._stamps_ns[: self.scans].copy()
 
+    @property
+    def odom_t_laser(self) -> Pose:
+        """(N, 3) of all scans by the odometry."""
+        return self._odom_t_laser[: self.scans].copy()
+
     def lay(self, map_t_keys: Pose) -> Pose:
         """Return map_t_laser (N, 3) of all scans.
 

@@ -159,13 +159,13 @@ class _Mapper:
         earlier = kept[3] if kept else ()
         self._session = LiveSession(port, config.session, config.extend, config.mapping, earlier)
         self._filter: Mapper
-        self._odometry: list[se2.Pose]
+        self._scans: int
         self._stamp_ns: int
-        self._filter, self._odometry, self._stamp_ns = kept[:3] if kept else (self._session.mapper(), [], 0)
+        self._filter, self._scans, self._stamp_ns = kept[:3] if kept else (self._session.mapper(), 0, 0)
         self._resumed = kept is not None
         if self._resumed:
             port.count("resumptions")
-            port.log.warning("goes on with the map of the process before it, %d scans", len(self._odometry))
+            port.log.warning("goes on with the map of the process before it, %d scans", self._scans)
         self._keys = Rows(port.results_dir, KEYS_FILE, KEYS_COLUMNS)
         self._teller = MapTeller(port, config.map_period_s)
         # What the process before it had published went with it; and a saved map is shown at once.
@@ -182,7 +182,7 @@ class _Mapper:
             self._port.report("error", f"scan refused: {error}")
             return
         self._session.add(scan)
-        self._odometry.append(motion.odom_t_laser)
+        self._scans += 1
         self._stamp_ns = scan.stamp_ns
         self._teller.changed |= step.updated
         if step.updated:
@@ -192,7 +192,7 @@ class _Mapper:
             return
         if step.lost:
             level, text = _lost(step, motion)
-            self._port.report(level, text, places=len(step.places), scans=len(self._odometry))
+            self._port.report(level, text, places=len(step.places), scans=self._scans)
         else:
             self._publish(step, motion)
 
@@ -203,9 +203,9 @@ class _Mapper:
 
     def keep(self) -> None:
         """Write down what the next process needs if this one is killed, now and then, after the answers."""
-        if not self._odometry or not self._checkpoint.due(self._stamp_ns):
+        if not self._scans or not self._checkpoint.due(self._stamp_ns):
             return
-        state = (self._filter, self._odometry, self._stamp_ns, self._session.kept())
+        state = (self._filter, self._scans, self._stamp_ns, self._session.kept())
         if not self._checkpoint.write(self._stamp_ns, state):
             self._port.count("checkpoints_failed")
 
@@ -226,7 +226,7 @@ class _Mapper:
             "mapping",
             particles=len(step.particles),
             n_eff=round(step.n_eff, 1),
-            scans=len(self._odometry),
+            scans=self._scans,
             map_size=self._teller.size,
         )
 
@@ -236,7 +236,7 @@ class _Mapper:
 
     def save(self) -> None:
         """Write the results folder of this run, if anybody wants one and there is something in it."""
-        if self._port.results_dir is None or not self._odometry:
+        if self._port.results_dir is None or not self._scans:
             return
         with self._keys:
             write_particles(self._port.results_dir, self._filter.population)
@@ -253,7 +253,7 @@ class _Mapper:
             config=self._config,
             stamps_ns=np.asarray(stamps_ns, dtype=np.int64),
             trajectory=trajectory,
-            odometry=np.array(self._odometry),
+            odometry=self._filter.odometry()[first:],
             grid=grid,
             path_m=trajectory[:, :2],
             metrics={

@@ -54,7 +54,6 @@ class OfflineRun:
         self._mapping = mapping
         self._slam = Slam(config.slam, seed, mapping)
         self._stamps_ns: list[int] = []
-        self._odometry: list[se2.Pose] = []
         self._points_laser: list[NDArray[np.float32]] = []
         self._diary = Diary()
         self.states: Counter[str] = Counter()
@@ -64,7 +63,6 @@ class OfflineRun:
         """Take the next scan."""
         step = self._slam.step(scan)
         self._stamps_ns.append(scan.stamp_ns)
-        self._odometry.append(step.match.motion.odom_t_laser)
         points_laser, _ = end_points(scan, step.match.motion.twist)
         self._points_laser.append(points_laser.astype(np.float32))
         self._diary.take(step)
@@ -86,7 +84,7 @@ class OfflineRun:
         first, layer = self._first_scan, self._layer
         all_stamps_ns, every_pose = self._slam.trajectory()
         stamps_ns, trajectory = all_stamps_ns[first:], every_pose[first:]
-        odometry = np.array(self._odometry).reshape(-1, 3)
+        odometry = self._mapping.odometry()[first:]
         if not np.array_equal(stamps_ns, self._stamps_ns):
             raise AssertionError("the trajectory must hold one pose for each scan, in order")
         seen = self._slam.occupancy()
