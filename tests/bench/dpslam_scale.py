@@ -135,7 +135,7 @@ def hour():
         if number % 6000 == 0:
             entry = row(f"{number // 600} min", slam, np.array(took_ms))
             entry["scans_MB"] = round(slam._scans.bytes_used / 1e6, 1)
-            entry["points_MB"] = round(sum(p.nbytes for p in slam.loops.points) / 1e6, 1)
+            entry["loops_MB"] = round(sum(part.nbytes for part in slam.loops.state().values()) / 1e6, 1)
             entry["key_scans"] = slam.population.keys
             status = Path("/proc/self/statm").read_text().split()
             entry["resident_MB"] = round(int(status[1]) * 4096 / 1e6)
