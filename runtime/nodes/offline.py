@@ -67,8 +67,8 @@ class OfflineRun:
         self._points_laser.append(points_laser.astype(np.float32))
         self._diary.take(step)
         looking = isinstance(self._slam.mapping, Returning) and not self._slam.mapping.found
-        # Followed or not, a laser that is looked for on its own map is lost; one scan that fits nowhere is not
-        # yet a laser that is.
+        # Followed or not, a laser that is looked for on its own map is lost. One scan that fits nowhere is no
+        # lost laser yet.
         sought = step.mapping.lost and not step.match.motion.lost and not looking
         self.state = "LOST" if sought else step.match.state.name
         self.states[self.state] += 1
