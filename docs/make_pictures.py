@@ -43,7 +43,7 @@ def look(folder: Path, size: str) -> Image.Image:
     spec = importlib.util.spec_from_file_location("browser", ROOT / "tests" / "integration" / "browser.py")
     browser = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(browser)
-    recording = next((folder / "run").rglob("*.mcap"))
+    recording = next((folder / "run").rglob("recording*.mcap"))
     view = hallway("view", str(recording), "--web", "--port", str(PORT), "--web-port", str(PAGE_PORT))
     try:
         address = view.stdout.readline().split()[2].rstrip(";")
