@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.dpslam.proposal import WIDE_M
 from processing.dpslam.settled import SettledMap
 from processing.motion import carried
 from processing.ndt import Points
@@ -82,7 +83,7 @@ DOUBT = 12.0
 """Chi-square at which a place is doubted: 3 degrees of freedom pass it once in a hundred."""
 GATE = 20.0
 """Chi-square of a closure against the drift beyond which it is another place that looks alike."""
-UNSEEN_M = 0.045
+UNSEEN_M = 1.5 * WIDE_M
 """Deviation of the motion between key scans from which the odometry did not see: half as much again as that
 up to which one that it saw is doubted."""
 FAR_M = 0.5
