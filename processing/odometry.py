@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.certainty import Certainty
+from processing.local_map import LocalMap
 from processing.matching import Matcher, Matching, MatchingConfig
 from processing.motion import Motion, anew_covariance, doubted_covariance, lost_covariance
-from processing.ndt import Ndt, NdtConfig
+from processing.ndt import NdtConfig
 from processing.observability import Blindness, blind_m, view
 from processing.prediction import (
     ConstantVelocity,
@@ -26,7 +27,7 @@ from processing.prediction import (
     turned,
     weakened,
 )
-from processing.recovery import KeyScan, shaded
+from processing.recovery import shaded
 from processing.saliency import Resampler, ResamplingConfig
 from processing.scan import Beams, Scan
 from processing.se2 import Pose, between, compose, snap_yaw, transform
@@ -113,22 +114,11 @@ class LaserOdometry:
         self._beams: Beams | None = None
         self._matcher = Matcher(config.matching, seed)
         self._filter = ConstantVelocity(config.prediction)
-        self._reference = Ndt(config.ndt)
+        self._local = LocalMap(config.ndt, config.key_scans if config.reference == "local_map" else 1)
         fine_share = config.matching.fine_share if config.matching.polish else 0.0
         self._certainty = Certainty(config.matching.score_weight, fine_share)
-        self._keys: list[KeyScan] = []
         self._blindness = Blindness()
         self._whole = config.reference_points == "all"
-
-    def __getstate__(self) -> dict[str, object]:
-        """Everything but the cells of the reference, which its key scans give again, bit for bit."""
-        return {name: value for name, value in vars(self).items() if name != "_reference"}
-
-    def __setstate__(self, state: dict[str, object]) -> None:
-        vars(self).update(state)
-        self._reference = Ndt(self.config.ndt)
-        if self._keys:
-            self._build()
 
     def step(self, scan: Scan, missed: int = 0) -> Match:
         """Match the next scan.
@@ -143,7 +133,7 @@ class LaserOdometry:
         resampler, middle_s, watch = self._prepare(scan)
         duration_s = (1 + missed) * scan.beams.period_s
         old_pose = self._filter.pose
-        prior = watch.expect(self._filter, duration_s) if self._keys else None
+        prior = watch.expect(self._filter, duration_s) if self._local.keys else None
         twist = self._filter.twist if self.config.deskew else np.zeros(3)
         ends = resampler.points(scan, twist, middle_s)
         points = resampler.means()
@@ -159,22 +149,30 @@ class LaserOdometry:
             before = self._filter.twist
             unseen = self._correct(matching, prior, old_pose if fits else None, duration_s)
             covariance = self._certainty.judge(
-                scan, len(ends), points, matching, self._reference, (before, self._filter.twist), middle_s
+                scan,
+                len(ends),
+                points,
+                matching,
+                self._local.reference,
+                (before, self._filter.twist),
+                middle_s,
             )
         anew = sees and (prior is None or watch.hopeless)
         if anew:
             watch.begin()
-            self._keys.clear()
+            self._local.clear()
             self._filter.forget_velocity()
             self._cruise.forget()
         if anew or fits:
             watch.remember(transform(self._filter.pose, ends))
         key = anew or (fits and not watch.doubtful and self._is_key())
         if key:
-            self._remember(resampler.filled(self.config.fill_m) if self._whole else points)
+            whole = self._whole
+            seen = resampler.filled(self.config.fill_m) if whole else (points, np.zeros_like(points))
+            self._local.add(self._filter.pose, *seen)
         return Match(
             motion=self._motion(scan, middle_s, covariance, unseen, fits, anew),
-            state=Tracking.LOST if watch.lost or not self._keys else _state(unseen),
+            state=Tracking.LOST if watch.lost or not self._local.keys else _state(unseen),
             blind_rad=_axis(unseen),
             score=0.0 if matching is None else matching.score,
             points_laser=transform(exponential(self._filter.twist * middle_s), points),
@@ -203,7 +201,7 @@ class LaserOdometry:
         unseen = _in_laser(seen.unseen, pose[2])
         self._filter.bound(unseen)
         if len(unseen):
-            self._filter.steer(unseen, self._cruise.velocity(self._filter.twist))
+            self._filter.steer(unseen, self._cruise.velocity(self._filter.twist, self._filter.doubt_m_s))
         elif old_pose is not None and not self._watch.doubtful:
             self._cruise.see(between(old_pose, pose), duration_s)
         return unseen
@@ -214,17 +212,20 @@ class LaserOdometry:
         Returns:
             The best match, and whether the scan fits there.
         """
-        matching = self._matcher.match(points, self._reference, prior)
+        local = self._local
+        local.face(prior.pose)
+        matching = self._matcher.match(points, local.reference, prior)
         if self.config.reference == "previous_scan":
             # The paper's chain takes every match.
             watch.take(matching)
             return matching, True
-        if watch.accept(points, matching, prior, self._keys):
+        if watch.accept(points, matching, prior, local.keys):
             return matching, True
-        followed = watch.follow(points, prior, self._matcher, self._reference)
+        local.show_all()
+        followed = watch.follow(points, prior, self._matcher, local.reference)
         if followed is not None:
             return followed, True
-        return watch.find(points, matching, self._filter, self._matcher, self._reference, self._keys)
+        return watch.find(points, matching, self._filter, self._matcher, local.reference, local.keys)
 
     def _prepare(self, scan: Scan) -> tuple[Resampler, float, Watch]:
         """Learn the beams from the first scan, and hold every other scan to them."""
@@ -240,23 +241,13 @@ class LaserOdometry:
         return self._resampler, 0.5 * scan.beams.sweep_s if self.config.deskew else 0.0, self._watch
 
     def _is_key(self) -> bool:
-        if not self._keys or self.config.reference == "previous_scan":
+        if not self._local.keys or self.config.reference == "previous_scan":
             return True
-        moved = between(self._keys[-1].odom_t_laser, self._filter.pose)
+        moved = between(self._local.keys[-1].odom_t_laser, self._filter.pose)
         return bool(
             np.hypot(moved[0], moved[1]) >= self.config.key_distance_m
             or abs(moved[2]) >= self.config.key_angle_rad
         )
-
-    def _remember(self, points: Points) -> None:
-        """Put the scan into the local map, and drop what is too old."""
-        kept = self.config.key_scans if self.config.reference == "local_map" else 1
-        self._keys.append(KeyScan(self._filter.pose.copy(), transform(self._filter.pose, points)))
-        del self._keys[:-kept]
-        self._build()
-
-    def _build(self) -> None:
-        self._reference.build(np.concatenate([key.points_odom for key in self._keys]))
 
     def _motion(
         self, scan: Scan, middle_s: float, covariance: Matrix, unseen: Points, fits: bool, anew: bool

@@ -25,7 +25,8 @@ TURNING_RAD_S = 0.1
 TURNING_S = 0.5
 """in the mean over so long."""
 STEADY_M_S = 0.15
-"""What the filter's velocity may be off a steady one; farther, and the laser has changed its speed."""
+"""What the filter's velocity may be off a steady one, if it does not know itself to be worse; farther, and
+the laser has changed its speed."""
 LEAST_INFORMATION = 1e-6
 """Keeps what is not seen at all finite, 1/m^2 and 1/rad^2."""
 
@@ -120,7 +121,7 @@ class Cruise:
         self._seen.append(logarithm(motion) / duration_s)
         self._held = None
 
-    def velocity(self, twist: Twist) -> NDArray[np.float64]:
+    def velocity(self, twist: Twist, doubt_m_s: float) -> NDArray[np.float64]:
         """Return the velocity (2,), laser frame, to go on with until everything is seen again.
 
         It is the mean over the longest time since the last turn in which it was about the present one and
@@ -128,12 +129,15 @@ class Cruise:
 
         Args:
             twist: (3,) of the filter: the present one, roughly.
+            doubt_m_s: How far the filter's velocity may be off, one sigma: the last scans before nothing is
+                seen any more know so little that it can be off by most of itself.
         """
         if self._held is None:
+            off_m_s = max(STEADY_M_S, doubt_m_s)
             straight = self._straight(np.array((*self._seen, twist)))
             windows = (straight[-count:] for count in self._counts)
             means = (window.mean(axis=0) for window in windows if _is_even(window))
-            steady = (mean for mean in means if np.hypot(*(mean - twist[:2])) < STEADY_M_S)
+            steady = (mean for mean in means if np.hypot(*(mean - twist[:2])) < off_m_s)
             self._held = next(steady, twist[:2].copy())
         return self._held
 
@@ -181,6 +185,11 @@ class ConstantVelocity:
             c.speed_m_s**2,
             c.turn_rate_rad_s**2,
         )
+
+    @property
+    def doubt_m_s(self) -> float:
+        """Standard deviation of the velocity in the direction that is known worst."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[3:5, 3:5])[-1]))
 
     def drift_m(self, duration_s: float) -> float:
         """Return the standard deviation of a place after a time in which nothing but the motion was known."""

@@ -7,11 +7,11 @@ tell. A place is on trial first: the scans that follow must fit, too, followed f
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from processing import wide_match
+from processing.local_map import KeyScan
 from processing.matching import Matcher, Matching
 from processing.ndt import Ndt, Points
 from processing.observability import view
@@ -59,14 +59,6 @@ PATIENCE_S = 3.0
 LEAST_POINTS = 20
 COVER_M = 0.3
 """A laser that sees fewer points, or nearly all of them nearer than this, is covered."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class KeyScan:
-    """One scan of the local map."""
-
-    odom_t_laser: Pose
-    points_odom: Points
 
 
 class Recovery:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.facing_kernels import face
 from processing.saliency_kernels import end_points, resample
 from processing.scan import Beams, Scan
 from processing.wall_kernels import fill_walls
@@ -73,6 +74,7 @@ class Resampler:
         self._rays = np.empty(beams.count, np.int64)
         self._means = np.empty((beams.count, 2))
         self._filled = np.empty((beams.count + MOST_FILLED, 2))
+        self._normals = np.empty((beams.count + MOST_FILLED, 2))
         self._members = np.empty(beams.count, np.int64)
         self._work = np.empty((beams.count, 4))
 
@@ -83,14 +85,18 @@ class Resampler:
         self._count = int(end_points(scan.ranges_m, self._directions, sweep, twist, self._points, self._rays))
         return self._points[: self._count]
 
-    def filled(self, most_m: float) -> NDArray[np.float64]:
-        """Return the points of the last sweep and more between them, (K, 2), a copy.
+    def filled(self, most_m: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the points of the last sweep and more between them, and which way their walls face.
 
         Args:
             most_m: Greatest gap between two rays on one straight wall that is filled; 0 for none.
+
+        Returns:
+            Points (K, 2), and unit normals (K, 2) towards the laser, 0 for points of no wall; copies.
         """
-        written = fill_walls(self._points, self._rays, self._count, most_m, self._filled)
-        return self._filled[:written].copy()
+        face(self._points, self._count, self._normals)
+        written = fill_walls(self._points, self._rays, self._count, most_m, self._filled, self._normals)
+        return self._filled[:written].copy(), self._normals[:written].copy()
 
     def means(self) -> NDArray[np.float64]:
         """Return the resampled points of the last sweep; (K, 2), K near the wanted number, a copy."""

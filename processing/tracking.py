@@ -11,10 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from processing.local_map import KeyScan
 from processing.matching import Matcher, Matching
 from processing.ndt import Ndt, NdtConfig, Points
 from processing.prediction import ConstantVelocity, Prior
-from processing.recovery import LEAST_KNOWN, KeyScan, Recovery, sight_of
+from processing.recovery import LEAST_KNOWN, Recovery, sight_of
 from processing.se2 import Pose, wrap
 
 FIT = 0.5

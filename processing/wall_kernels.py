@@ -33,12 +33,13 @@ def goes_on(points, rays, count, end, beyond, ux, uy):
     return bool(abs(x * uy - y * ux) <= STRAIGHT_M + STRAIGHT * np.hypot(x, y))
 
 
-@njit("i8(f8[:,::1], i8[::1], i8, f8, f8[:,::1])", cache=True, nogil=True)
-def fill_walls(points, rays, count, most_m, out):
+@njit("i8(f8[:,::1], i8[::1], i8, f8, f8[:,::1], f8[:,::1])", cache=True, nogil=True)
+def fill_walls(points, rays, count, most_m, out, normals):
     """Write the first `count` points (N, 2) of a sweep, laser frame, and more between them; return how many.
 
     Neighbours up to `most_m` apart are joined where they and the rays on both sides of them met one straight
-    wall. `rays` (N,): number of each point's ray. `out` (M, 2), M >= count, takes as much as it can hold.
+    wall. `rays` (N,): number of each point's ray. `out` (M, 2), M >= count, takes as much as it can hold;
+    `normals` (M, 2): unit normals of the walls, towards the laser, of the points put in.
     """
     written = 0
     for i in range(count):
@@ -65,5 +66,7 @@ def fill_walls(points, rays, count, most_m, out):
                     points[i, 0] + dx * k / pieces,
                     points[i, 1] + dy * k / pieces,
                 )
+                side = 1.0 if ux * points[i, 1] > uy * points[i, 0] else -1.0
+                normals[written, 0], normals[written, 1] = side * uy, -side * ux
                 written += 1
     return written

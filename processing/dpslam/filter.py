@@ -113,7 +113,8 @@ class DpSlam:
         sweep = self._sweeper.take(scan, motion)
         resampled = False
         if self.population.keys:
-            resampled = self.population.update(sweep, key_t_laser, self._covariance)
+            old_ground = self.loops is None or self.loops.linked
+            resampled = self.population.update(sweep, key_t_laser, self._covariance, old_ground)
         if self.population.misfits:
             # What contradicts the map shall not overwrite it: next time it would fit.
             sweep = NOTHING_SEEN

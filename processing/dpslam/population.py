@@ -59,13 +59,15 @@ class Population:
         """(K, 3) the best particle's poses at the key scans."""
         return self.ancestry.path(self.best)
 
-    def update(self, sweep: Sweep, key_t_laser: Pose, covariance: Matrix) -> bool:
+    def update(self, sweep: Sweep, key_t_laser: Pose, covariance: Matrix, old_ground: bool) -> bool:
         """Move, refine, weigh and select the particles; nothing is written yet.
 
         Args:
             sweep: The new key scan.
             key_t_laser: (3,) motion since the last key scan.
             covariance: (3, 3) of that motion, in the new laser frame.
+            old_ground: Whether the maps know more of this place than the last scans. If not, they are the
+                motions over again, and by them no particle is more probable than another.
 
         Returns:
             Whether there was a selection.
@@ -78,7 +80,7 @@ class Population:
         predicted = np.ascontiguousarray(se2.compose(se2.compose(self.poses, key_t_laser), normal @ root.T))
         blind = self._refine(sweep, predicted, root)
         rays = sweep.rays[:: max(1, len(sweep.rays) // self.config.rays)].copy()
-        if not blind:
+        if old_ground and not blind:
             # Where a direction is not seen the rays tell nothing of it, and all else was refined: what they
             # would weigh is how often the laser has looked at a wall, and those that lag behind would win.
             self._weigh(rays)

@@ -23,6 +23,8 @@ _STAGES = np.array(((0.01, 0.0), (0.0, 0.0)))
 cells."""
 PIECE = 2048
 """Points that are worked in at a time."""
+FLAT = 0.25
+"""A cell whose variances have a smaller ratio is a wall: of many passes it is thicker than of one scan."""
 _FREE = 1e9
 """Degrees of freedom of a normal prior."""
 
@@ -40,7 +42,7 @@ class SettledMap:
     """Normal distributions of everything added so far."""
 
     def __init__(self) -> None:
-        c = NdtConfig(cell_m=CELL_M)
+        c = NdtConfig(cell_m=CELL_M, flat_ratio=FLAT)
         self._half_m = 0.5 * CELL_M
         self._rule = np.array((c.min_points, c.min_deviation_m**2, c.min_ratio, c.flat_ratio, c.flat_stretch))
         self.clear()

@@ -23,6 +23,7 @@ CHAINS: tuple[tuple[float, tuple[str, ...]], ...] = (
             "evolution_kernels",
             "ndt_kernels",
             "wall_kernels",
+            "facing_kernels",
             "sight_kernels",
             "certainty_kernels",
             "matching_kernels",

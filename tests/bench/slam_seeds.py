@@ -7,7 +7,7 @@ position and mean of rotation after the best rigid alignment. A map is good if i
 the course and no single error is above five times that bound or 0.3 m, whichever is greater.
 
 A variation of a log is another log with the same truth: `backwards` (the film from its end, in a mirror),
-`near` (a laser that sees 8 m), `halved` (every second ray).
+`near` (a laser that sees 8 m), `halved` (every second ray). Of a `floor` every seed is another building.
 """
 
 import argparse
@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from floor_plans import Crowded, floor_plan
 from odometry_courses import Course, beams_of_laser, logged
 
 from drivers import world
@@ -54,6 +55,20 @@ def _simulated(building: Callable, bound_m: float, laser: Callable = world.Urg04
         # The noise of the drive goes with the seed, too: ten drives, not one mapped ten times.
         sensor = laser()
         records = list(simulate_scans(building(), laser=sensor, seed=seed, **drive))
+        beams = beams_of_laser(sensor)
+        scans = [Scan(stamp_ns, ranges_m, beams) for stamp_ns, ranges_m, _ in records]
+        return Drive(scans, bound_m, truth=np.array([pose for *_, pose in records]))
+
+    return make
+
+
+def _floor(laser: Callable, people: int, bound_m: float, **drive) -> Callable:
+    """Another building and another way with each seed."""
+
+    def make(seed: int) -> Drive:
+        building, sensor = floor_plan(seed), laser()
+        looking = Crowded(sensor, building, people, seed) if people else sensor
+        records = list(simulate_scans(building, laser=looking, seed=seed, **drive))
         beams = beams_of_laser(sensor)
         scans = [Scan(stamp_ns, ranges_m, beams) for stamp_ns, ranges_m, _ in records]
         return Drive(scans, bound_m, truth=np.array([pose for *_, pose in records]))
@@ -160,6 +175,10 @@ COURSES: dict[str, Callable[[int], Drive | None]] = {
     "loop 100 SICK": _simulated(world.loop_corridor, 0.1, world.Sick, speed_mps=0.6),
     "square 40": _simulated(world.square_of_corridors, 0.1, world.Sick, speed_mps=0.6, laps=2),
     "square 40 1 m/s": _simulated(world.square_of_corridors, 0.1, world.Sick, speed_mps=1.0, laps=2),
+    "floor SICK": _floor(world.Sick, 0, 0.1, speed_mps=0.6, turn_rate_radps=1.2),
+    "floor SICK, people": _floor(world.Sick, 6, 0.1, speed_mps=0.6, turn_rate_radps=1.2),
+    "floor URG": _floor(world.Urg04lx, 0, 0.2, speed_mps=0.4),
+    "floor URG, people": _floor(world.Urg04lx, 6, 0.2, speed_mps=0.4),
     "pillars": _simulated(lambda: world.pillar_hall(20.0, 12.0), 0.1),
 }
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from processing.dpslam.settled import CELL_M, SettledMap
+from processing.dpslam.settled import CELL_M, FLAT, SettledMap
 from processing.ndt import NdtConfig
 from processing.se2 import between, invert, transform
 
@@ -49,7 +49,7 @@ def test_the_fit_of_each_point_is_that_of_four_plain_grids(at_once):
     else:
         for part in np.array_split(points[np.argsort(np.abs(points).max(axis=1))], 5):
             settled.add(part)
-    plain = naive.Ndt(points, NdtConfig(cell_m=CELL_M))
+    plain = naive.Ndt(points, NdtConfig(cell_m=CELL_M, flat_ratio=FLAT))
     rng = np.random.default_rng(2)
     probe = np.vstack((points[::8] + rng.normal(0.0, 0.03, (188, 2)), rng.uniform(-4.0, 4.0, (150, 2))))
     pose = np.array((0.3, -0.2, 0.5))

@@ -64,6 +64,10 @@ TWINS = {
     "wall_kernels": {
         "": "unit/test_walls.py::test_the_compiled_filling_is_the_plain_one",
     },
+    "facing_kernels": {
+        "face": "unit/test_local_map.py::test_the_compiled_normals_are_the_plain_ones",
+        "look_behind": "unit/test_local_map.py::test_what_is_seen_from_behind_is_that_of_the_plain_twin",
+    },
     "sight_kernels": {"": "unit/test_sightlines.py::test_the_compiled_look_back_is_the_plain_one"},
     "ndt_kernels": {
         "accumulate": SCORE,

@@ -220,31 +220,41 @@ def test_a_steady_velocity_is_the_mean_of_the_longest_time_that_agrees_with_the_
     cruise, twist = Cruise(0.1), np.array((0.35, 0.0, 0.0))
     for _ in range(80):
         cruise.see(exponential(0.1 * np.array((0.3 + rng.normal(0.0, 0.05), 0.0, 0.05))), 0.1)
-    held = cruise.velocity(twist)
+    held = cruise.velocity(twist, 0.1)
     # A half second of it would be off by 0.02.
     assert held[0] == pytest.approx(0.3, abs=0.01)
     # It stays until everything is seen again, whatever the filter makes of it.
-    assert cruise.velocity(np.array((0.0, 0.0, 0.0))) is held
+    assert cruise.velocity(np.array((0.0, 0.0, 0.0)), 0.1) is held
+
+
+def test_two_last_scans_that_hardly_see_do_not_change_the_velocity_of_seconds():
+    cruise = Cruise(0.1)
+    for speed in (0.3,) * 78 + (0.2, 0.1):
+        cruise.see(exponential(0.1 * np.array((speed, 0.0, 0.0))), 0.1)
+    # A filter that knows its velocity is believed, and one that does not is not.
+    assert cruise.velocity(np.array((0.1, 0.0, 0.0)), 0.3)[0] == pytest.approx(0.3, abs=0.01)
+    cruise.see(exponential(0.1 * np.array((0.1, 0.0, 0.0))), 0.1)
+    assert cruise.velocity(np.array((0.1, 0.0, 0.0)), 0.05)[0] < 0.15
 
 
 def test_after_a_stop_the_way_before_it_does_not_count():
     cruise = Cruise(0.1)
     for speed in (0.6,) * 15 + (0.0,) * 5:
         cruise.see(exponential(np.array((0.1 * speed, 0.0, 0.0))), 0.1)
-    assert cruise.velocity(np.zeros(3))[0] == pytest.approx(0.0, abs=1e-9)
+    assert cruise.velocity(np.zeros(3), 0.1)[0] == pytest.approx(0.0, abs=1e-9)
     cruise.forget()
-    assert cruise.velocity(np.array((0.2, 0.1, 0.0))) == pytest.approx((0.2, 0.1))
+    assert cruise.velocity(np.array((0.2, 0.1, 0.0)), 0.1) == pytest.approx((0.2, 0.1))
 
 
 def test_who_comes_out_of_a_turn_goes_on_as_straight_on_and_not_as_in_the_turn():
     cruise = Cruise(0.1)
     for speed, turn_rate in ((0.28, 0.8),) * 30 + ((0.3, 0.0),) * 15:
         cruise.see(exponential(0.1 * np.array((speed, 0.0, turn_rate))), 0.1)
-    assert cruise.velocity(np.array((0.3, 0.0, 0.0)))[0] == pytest.approx(0.3, abs=1e-3)
+    assert cruise.velocity(np.array((0.3, 0.0, 0.0)), 0.1)[0] == pytest.approx(0.3, abs=1e-3)
     # Still turning, there is nothing better than the newest moment.
     for _ in range(10):
         cruise.see(exponential(0.1 * np.array((0.28, 0.0, 0.8))), 0.1)
-    assert cruise.velocity(np.array((0.28, 0.0, 0.8)))[0] == pytest.approx(0.28, abs=1e-3)
+    assert cruise.velocity(np.array((0.28, 0.0, 0.8)), 0.1)[0] == pytest.approx(0.28, abs=1e-3)
 
 
 def test_a_velocity_that_grows_is_that_of_the_last_moments():
@@ -252,7 +262,7 @@ def test_a_velocity_that_grows_is_that_of_the_last_moments():
     for speed in np.linspace(0.0, 0.4, 80):
         cruise.see(exponential(np.array((0.1 * speed, 0.0, 0.0))), 0.1)
     # Half of eight seconds of it would be 0.2.
-    assert cruise.velocity(np.array((0.4, 0.0, 0.0)))[0] == pytest.approx(0.4, abs=0.05)
+    assert cruise.velocity(np.array((0.4, 0.0, 0.0)), 0.1)[0] == pytest.approx(0.4, abs=0.05)
 
 
 def test_the_filter_takes_up_a_velocity_along_what_is_not_seen_only():

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from processing.local_map import KeyScan
 from processing.matching import Matcher, Matching, MatchingConfig
 from processing.motion import Motion, anew_covariance, doubted_covariance, following, lost_covariance
 from processing.ndt import Ndt, NdtConfig
 from processing.prediction import ConstantVelocity, PredictionConfig, Prior
-from processing.recovery import KeyScan, Recovery, covered
+from processing.recovery import Recovery, covered
 from processing.se2 import invert, transform
 from processing.sightlines import judge
 from processing.tracking import DOUBT_S, FIT, SURE, Watch
@@ -27,7 +28,7 @@ def matching(score):
 def accepted(watch, found, off_m=0.0):
     """Whether a scan of a ring of 2 m is accepted on a ring of 4 m, so far from where it was expected."""
     prior = Prior(np.array((off_m, 0.0, 0.0)), np.diag((400.0, 400.0, 400.0)))
-    return watch.accept(ring(2.0), found, prior, [KeyScan(np.zeros(3), ring(4.0))])
+    return watch.accept(ring(2.0), found, prior, [KeyScan(np.zeros(3), ring(4.0), -ring(1.0))])
 
 
 def watch_of(period_s, usual=0.6):
@@ -71,7 +72,7 @@ def watched(watch, score, yaw_rad=0.0):
     """A scan of a ring of 2 m at a heading, where one has looked at a ring of 4 m before."""
     found = Matching(np.array((0.0, 0.0, yaw_rad)), score, -np.eye(3), 1e4 * np.eye(3), 1, 1, 1)
     prior = Prior(found.pose, np.diag((400.0, 400.0, 400.0)))
-    return watch.accept(ring(2.0), found, prior, [KeyScan(np.zeros(3), ring(4.0))])
+    return watch.accept(ring(2.0), found, prior, [KeyScan(np.zeros(3), ring(4.0), -ring(1.0))])
 
 
 def test_a_scan_that_fits_badly_is_doubted_on_known_ground_only():

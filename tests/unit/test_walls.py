@@ -13,11 +13,15 @@ from processing.wall_kernels import LEAST_SLANT, SPACING_M, STRAIGHT, STRAIGHT_M
 
 
 def filled(points, rays, most_m=4.0, room=2000):
-    out = np.empty((room, 2))
+    return filled_and_normals(points, rays, most_m, room)[0]
+
+
+def filled_and_normals(points, rays, most_m, room=2000):
+    out, normals = np.empty((room, 2)), np.full((room, 2), np.nan)
     written = fill_walls(
-        np.array(points, dtype=np.float64).reshape(-1, 2), np.array(rays), len(rays), most_m, out
+        np.array(points, dtype=np.float64).reshape(-1, 2), np.array(rays), len(rays), most_m, out, normals
     )
-    return out[:written]
+    return out[:written], normals[len(rays) : written]
 
 
 def plainly_filled(points, rays, most_m):
@@ -29,7 +33,7 @@ def plainly_filled(points, rays, most_m):
         off = points[beyond] - points[end]
         return abs(off[0] * along[1] - off[1] * along[0]) <= STRAIGHT_M + STRAIGHT * np.hypot(*off)
 
-    out = list(points)
+    out, normals = list(points), []
     for i in range(len(rays) - 1):
         step = points[i + 1] - points[i]
         gap = np.hypot(*step)
@@ -41,7 +45,9 @@ def plainly_filled(points, rays, most_m):
         if wall and slant >= LEAST_SLANT * np.hypot(*points[i]):
             pieces = int(np.ceil(gap / SPACING_M))
             out += [points[i] + step * k / pieces for k in range(1, pieces)]
-    return np.array(out)
+            normal = np.array((along[1], -along[0]))
+            normals += [normal if normal @ points[i] < 0.0 else -normal] * (pieces - 1)
+    return np.array(out), np.array(normals).reshape(-1, 2)
 
 
 def hits(wall_y_m, bearings_deg):
@@ -57,7 +63,9 @@ def test_the_compiled_filling_is_the_plain_one(seed, most_m):
     points = hits(1.2, np.linspace(4.0, 60.0, 40)) + rng.normal(0.0, 0.02, (40, 2)) * rng.integers(
         0, 2, (40, 1)
     )
-    np.testing.assert_allclose(filled(points, rays, most_m), plainly_filled(points, rays, most_m), atol=1e-12)
+    compiled, plain = filled_and_normals(points, rays, most_m), plainly_filled(points, rays, most_m)
+    for one, other in zip(compiled, plain, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
 
 
 def test_a_far_wall_is_whole_between_its_hits():

@@ -1,0 +1,51 @@
+"""What a key scan does to the particles, on old ground and on new."""
+
+import numpy as np
+
+from drivers.world import Urg04lx, room
+from processing.dpslam.config import DpSlamConfig
+from processing.dpslam.population import Population
+from processing.dpslam.sweep import Sweeper
+from processing.motion import Motion
+from processing.scan import Beams, Scan
+
+COVARIANCE = np.diag((0.03**2, 0.03**2, 0.01**2))
+
+
+def population_and_sweep():
+    """Particles that have written one scan of a room, and that scan again."""
+    laser = Urg04lx()
+    beams = Beams(
+        count=laser.beams,
+        angle_min_rad=laser.angle_min_rad,
+        angle_increment_rad=laser.angle_increment_rad,
+        time_increment_s=laser.time_increment_s,
+        period_s=laser.period_s,
+        range_min_m=laser.range_min_m,
+        range_max_m=laser.range_max_m,
+    )
+    poses = np.tile((2.0, 1.5, 0.4), (laser.beams, 1))
+    ranges_m = laser.measure(room(), poses, np.random.default_rng(1))
+    config = DpSlamConfig(particles=20)
+    sweep = Sweeper(beams, config.points, config.range_max_m).take(
+        Scan(10**9, ranges_m, beams), Motion(10**9, np.zeros(3), COVARIANCE, np.zeros(3))
+    )
+    particles = Population(config, 3)
+    particles.write(sweep.rays)
+    return particles, sweep
+
+
+def test_on_new_ground_no_particle_becomes_more_probable_than_another():
+    particles, sweep = population_and_sweep()
+    assert not particles.update(sweep, np.zeros(3), COVARIANCE, False)
+    np.testing.assert_array_equal(particles.log_weights, -np.log(20))
+    # They spread all the same, but for the one that goes where the motion says.
+    spread = np.ptp(particles.poses, axis=0)
+    assert (spread > 0.0).all()
+    assert particles.best == 0
+
+
+def test_on_old_ground_those_that_fit_their_map_do():
+    particles, sweep = population_and_sweep()
+    particles.update(sweep, np.zeros(3), COVARIANCE, True)
+    assert np.ptp(particles.log_weights) > 0.01

@@ -1,0 +1,166 @@
+"""The local map: which way walls face, and what of them is left in the reference."""
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.world import Sick, doorway, simulate_scans
+from processing import facing_kernels as facing
+from processing.evaluation import absolute_errors
+from processing.local_map import BEHIND_M, BEHIND_SLANT, LocalMap
+from processing.ndt import NdtConfig
+from processing.odometry import LaserOdometry, OdometryConfig
+from processing.scan import Beams, Scan
+
+
+def faced(points):
+    normals = np.full((len(points) + 3, 2), np.nan)
+    facing.face(np.ascontiguousarray(points), len(points), normals)
+    assert np.isnan(normals[len(points) :]).all()
+    return normals[: len(points)]
+
+
+def plainly_faced(points):
+    """The same, as one would write it first: the short axis of the neighbours, turned to the laser."""
+    normals = np.zeros_like(points)
+    for i, point in enumerate(points):
+        reach_m = max(facing.NEAR_M, facing.REACH * np.hypot(*point))
+        group = [point]
+        for side in (points[:i][::-1], points[i + 1 :]):
+            for k, other in enumerate(side, 1):
+                away_m = np.hypot(*(other - point))
+                if away_m > reach_m or (away_m > facing.NEAR_M and k > facing.ENOUGH):
+                    break
+                group.append(other)
+        values, vectors = np.linalg.eigh(np.cov(np.transpose(group), bias=True).reshape(2, 2))
+        if len(group) >= facing.LEAST and values[0] <= facing.THIN * values[1]:
+            normals[i] = vectors[:, 0] * -np.sign(vectors[:, 0] @ point)
+    return normals
+
+
+def wall(x_m, y0_m, y1_m, count=60):
+    return np.column_stack((np.full(count, x_m), np.linspace(y0_m, y1_m, count)))
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_compiled_normals_are_the_plain_ones(seed):
+    rng = np.random.default_rng(seed)
+    corner = np.vstack((wall(2.0, -1.5, 1.0, 30), wall(1.0, 2.0, 0.4, 20)[:, ::-1]))
+    points = corner * rng.uniform(0.3, 3.0) + rng.normal(0.0, 0.01, corner.shape)
+    np.testing.assert_allclose(faced(points), plainly_faced(points), atol=1e-6)
+
+
+def test_a_wall_faces_the_laser_and_a_heap_faces_nowhere():
+    np.testing.assert_allclose(faced(wall(2.0, -1.0, 1.0)), np.tile((-1.0, 0.0), (60, 1)), atol=1e-9)
+    heap = np.random.default_rng(1).normal((2.0, 0.0), 0.05, (40, 2))
+    assert (faced(heap) == 0.0).all(axis=1).mean() > 0.7
+    assert (faced(heap[:3]) == 0.0).all()
+    assert faced(np.zeros((0, 2))).shape == (0, 2)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_what_is_seen_from_behind_is_that_of_the_plain_twin(seed):
+    rng = np.random.default_rng(seed)
+    points, place = rng.uniform(-3.0, 3.0, (50, 2)), rng.uniform(-3.0, 3.0, 2)
+    angle = rng.uniform(-np.pi, np.pi, 50)
+    normals = np.column_stack((np.cos(angle), np.sin(angle))) * rng.integers(0, 2, (50, 1))
+    behind = np.zeros(50, np.bool_)
+    count = facing.look_behind(points, normals, *place, 0.05, 0.1, behind)
+    off = place - points
+    beyond = -(off * normals).sum(axis=1) - 0.05
+    expected = (beyond > 0.0) & (beyond > 0.1 * np.hypot(*off.T))
+    np.testing.assert_array_equal(behind, expected)
+    assert count == expected.sum()
+
+
+def shown(local, points):
+    """How well points fit the reference where they are."""
+    return local.reference.score(points, np.zeros(3)).value / len(points)
+
+
+def local_map():
+    """A wall at x = 2, seen from the origin and again from near it."""
+    local, points = LocalMap(NdtConfig(), 5), wall(2.0, -1.0, 1.0)
+    for x_m in (0.0, 1.0):
+        there = points - (x_m, 0.0)
+        local.add(np.array((x_m, 0.0, 0.0)), there, faced(there))
+    return local, points
+
+
+def test_a_wall_is_left_out_for_a_laser_behind_it_and_shown_again_before_it():
+    local, points = local_map()
+    assert shown(local, points) > 0.8
+    local.face(np.array((2.3, 0.0, 0.0)))
+    assert shown(local, points) == 0.0
+    local.face(np.array((1.7, 0.0, 0.0)))
+    assert shown(local, points) > 0.8
+
+
+def test_noise_of_the_place_and_of_the_normal_does_not_hide_a_wall():
+    local, points = local_map()
+    local.face(np.array((2.0 + 0.9 * BEHIND_M, 0.0, 0.0)))
+    assert shown(local, points) > 0.8
+    # Along the wall, with its normal a little wrong.
+    aside = np.array((2.0 + 0.9 * (BEHIND_M + 3.0 * BEHIND_SLANT), 4.0, 0.0))
+    local.face(aside)
+    assert shown(local, points) > 0.8
+
+
+def test_a_lost_laser_may_be_on_either_side():
+    local, points = local_map()
+    local.face(np.array((2.3, 0.0, 0.0)))
+    local.show_all()
+    assert shown(local, points) > 0.8
+    # Until there is a new key scan, which knows where it is.
+    local.face(np.array((2.3, 0.0, 0.0)))
+    assert shown(local, points) > 0.8
+    there = wall(1.0, -1.0, 1.0)
+    local.add(np.array((2.3, 0.0, 0.0)), there, faced(there))
+    assert shown(local, points) == 0.0
+
+
+def test_a_single_scan_is_shown_whole_and_the_oldest_goes():
+    local, points = LocalMap(NdtConfig(), 1), wall(2.0, -1.0, 1.0)
+    local.add(np.zeros(3), points, faced(points))
+    local.face(np.array((2.3, 0.0, 0.0)))
+    assert shown(local, points) > 0.8
+    local.add(np.array((5.0, 0.0, 0.0)), points, faced(points))
+    assert len(local.keys) == 1
+    assert shown(local, points) == 0.0
+    local.clear()
+    assert local.keys == []
+
+
+def test_a_copy_goes_on_as_the_original():
+    local, points = local_map()
+    local.face(np.array((2.3, 0.0, 0.0)))
+    copy = pickle.loads(pickle.dumps(local))
+    assert shown(copy, points) == 0.0
+    for one in (local, copy):
+        one.face(np.array((1.7, 0.0, 0.0)))
+    assert shown(copy, points) == shown(local, points) > 0.8
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_who_drives_through_a_door_is_not_off_by_the_thickness_of_the_wall(seed):
+    laser = Sick()
+    beams = Beams(
+        count=laser.beams,
+        angle_min_rad=laser.angle_min_rad,
+        angle_increment_rad=laser.angle_increment_rad,
+        time_increment_s=laser.time_increment_s,
+        period_s=laser.period_s,
+        range_min_m=laser.range_min_m,
+        range_max_m=laser.range_max_m,
+    )
+    odometry = LaserOdometry(OdometryConfig(), seed)
+    truth, poses = [], []
+    for stamp_ns, ranges_m, pose in simulate_scans(
+        doorway(), laser=laser, speed_mps=0.6, turn_rate_radps=1.2, seed=seed
+    ):
+        poses.append(odometry.step(Scan(stamp_ns, ranges_m, beams)).motion.odom_t_laser)
+        truth.append(pose)
+    assert absolute_errors(np.array(truth), np.array(poses)).translation_m.max() < 0.1
