@@ -113,8 +113,7 @@ class DpSlam:
         sweep = self._sweeper.take(scan, motion)
         resampled = False
         if self.population.keys:
-            old_ground = self.loops is None or self.loops.linked
-            resampled = self.population.update(sweep, key_t_laser, self._covariance, old_ground)
+            resampled = self.population.update(sweep, key_t_laser, self._covariance, self._on_old_ground())
         if self.population.misfits:
             # What contradicts the map shall not overwrite it: next time it would fit.
             sweep = NOTHING_SEEN
@@ -244,6 +243,9 @@ class DpSlam:
         cells, corner = self.population.store.dense(self.population.best)
         stops, metres = cells[..., 0] / STOPS, cells[..., 1] / METRES
         return occupancy_of(stops, metres, CELL_M, (corner[1] * CELL_M, corner[0] * CELL_M))
+
+    def _on_old_ground(self) -> bool:
+        return self.loops is None or self.loops.linked
 
     def _is_key(self, key_t_laser: Pose) -> bool:
         c = self.config

@@ -29,6 +29,10 @@ FAITH = 8.0
 """The best particle stays it until another one's log weight is so much higher. It goes where the motion says;
 another one has strayed from there by chance, and on new ground nothing but chance tells them apart."""
 
+MIX_EVERY, MIX = 4, 1.5
+"""On new ground all are as probable, and there is a selection by chance after so many key scans, so that they
+go on sharing what lies behind; and how unequal the chances are (deviation of their logarithms)."""
+
 ARRIVAL = np.array((0.02, 0.02, 0.01))
 """How well a place found on the map is known, one sigma; m, m, rad."""
 NEUTRAL, NEUTRAL_RAYS = -0.7, 10.0
@@ -89,9 +93,14 @@ class Population:
             self.best = heaviest
         self._judge(rays)
         self.ancestry.extend(self.poses)
-        if effective_size(self.log_weights) >= self.config.particles / 2:
+        chances = self.log_weights
+        if not old_ground:
+            if self.keys % MIX_EVERY:
+                return False
+            chances = chances + MIX * random.standard_normal(len(chances))
+        elif effective_size(chances) >= self.config.particles / 2:
             return False
-        self._select(systematic_parents(self.log_weights, uniform))
+        self._select(systematic_parents(chances, uniform))
         return True
 
     def arrive(self, map_t_laser: Pose) -> None:

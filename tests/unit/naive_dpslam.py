@@ -15,6 +15,7 @@ from processing.dpslam import alignment, laser_model, population, writing
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.grid import BLOCK, BLOCK_M, CELL_M, METRES, PLACES, STOPS
 from processing.dpslam.proposal import doubted, held, noise_root, priors
+from processing.dpslam.resampling import normalise
 from processing.dpslam.sweep import Sweeper
 from processing.motion import carried
 
@@ -270,6 +271,7 @@ class NaiveDpSlam:
         self.sweeps = []
         self.odom = self.key_odom = None
         self.selections = 0
+        self.old_ground = True
 
     def step(self, scan, motion):
         odom = motion.odom_t_laser
@@ -326,7 +328,7 @@ class NaiveDpSlam:
         self.poses, blind = held(poses, predicted, informations / population.GAIN)
         rays = sweep.rays[:: max(1, len(sweep.rays) // c.rays)]
         seen = [placed(pose, rays) for pose in self.poses]
-        if not blind @ np.exp(self.log_weights) > 0.5:
+        if self.old_ground and not blind @ np.exp(self.log_weights) > 0.5:
             self._weigh(rays, seen)
         heaviest = int(np.argmax(self.log_weights))
         if self.log_weights[heaviest] > self.log_weights[self.best] + population.FAITH:
@@ -334,8 +336,11 @@ class NaiveDpSlam:
         misfit = self.maps[self.best].contradicts(seen[self.best])
         for path, pose in zip(self.paths, self.poses, strict=True):
             path.append(pose)
-        if 1.0 / np.exp(2.0 * self.log_weights).sum() < count / 2:
-            self._select(uniform)
+        if not self.old_ground:
+            if self.keys % population.MIX_EVERY == 0:
+                self._select(uniform, self.log_weights + population.MIX * random.standard_normal(count))
+        elif 1.0 / np.exp(2.0 * self.log_weights).sum() < count / 2:
+            self._select(uniform, self.log_weights)
         return misfit
 
     def _weigh(self, rays, seen):
@@ -353,9 +358,9 @@ class NaiveDpSlam:
         peak = weights.max()
         self.log_weights = weights - (peak + np.log(np.exp(weights - peak).sum()))
 
-    def _select(self, uniform):
+    def _select(self, uniform, chances):
         count = self.config.particles
-        edges = np.cumsum(np.exp(self.log_weights))
+        edges = np.cumsum(np.exp(normalise(chances)))
         edges /= edges[-1]
         children = [0] * count
         for k in range(count):

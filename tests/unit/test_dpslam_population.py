@@ -37,7 +37,7 @@ def population_and_sweep():
 
 def test_on_new_ground_no_particle_becomes_more_probable_than_another():
     particles, sweep = population_and_sweep()
-    assert not particles.update(sweep, np.zeros(3), COVARIANCE, False)
+    particles.update(sweep, np.zeros(3), COVARIANCE, False)
     np.testing.assert_array_equal(particles.log_weights, -np.log(20))
     # They spread all the same, but for the one that goes where the motion says.
     spread = np.ptp(particles.poses, axis=0)
@@ -49,3 +49,14 @@ def test_on_old_ground_those_that_fit_their_map_do():
     particles, sweep = population_and_sweep()
     particles.update(sweep, np.zeros(3), COVARIANCE, True)
     assert np.ptp(particles.log_weights) > 0.01
+
+
+def test_on_new_ground_they_go_on_sharing_what_lies_behind():
+    particles, sweep = population_and_sweep()
+    for _ in range(40):
+        particles.update(sweep, np.zeros(3), COVARIANCE, False)
+        particles.write(sweep.rays[:4])
+    # Without a selection every particle would have a path of its own from the first key scan on.
+    paths = [particles.ancestry.path(k) for k in range(20)]
+    assert len(np.unique([path[20] for path in paths], axis=0)) <= 3
+    assert len(np.unique([path[-1] for path in paths], axis=0)) > 8
