@@ -33,10 +33,16 @@ class KeyScan:
 
 
 class LocalMap:
-    """Key scans in the odometry's frame, and the NDT of them that scans are matched against."""
+    """Key scans in the odometry's frame, and the NDT of them that scans are matched against.
 
-    def __init__(self, config: NdtConfig, most: int) -> None:
-        self._config, self._most = config, most
+    Args:
+        config: Of the reference.
+        most: Number of key scans kept.
+        sides: Whether what faces away is left out.
+    """
+
+    def __init__(self, config: NdtConfig, most: int, sides: bool = True) -> None:
+        self._config, self._most, self._sides = config, most, sides
         self.keys: list[KeyScan] = []
         self.reference = Ndt(config)
         self._gather()
@@ -45,7 +51,7 @@ class LocalMap:
 
     def __getstate__(self) -> dict[str, object]:
         """The key scans, which give everything else again, bit for bit."""
-        return {name: getattr(self, name) for name in ("_config", "_most", "keys", "_place")}
+        return {name: getattr(self, name) for name in ("_config", "_most", "_sides", "keys", "_place")}
 
     def __setstate__(self, state: dict[str, object]) -> None:
         vars(self).update(state)
@@ -72,7 +78,7 @@ class LocalMap:
         self.keys.append(key)
         del self.keys[: -self._most]
         self._gather()
-        self._build(odom_t_laser[:2].copy() if self._most > 1 else None)
+        self._build(odom_t_laser[:2].copy() if self._sides else None)
 
     def face(self, odom_t_laser: Pose) -> None:
         """Look at the map from a place (3,): leave out what faces away from there."""

@@ -59,6 +59,8 @@ class OdometryConfig:
     """What of a scan goes into the reference: every point, or the means that are matched."""
     fill_m: float = 4.0
     """Greatest gap between two rays on one straight wall that is filled in the reference; 0 for none."""
+    walls_have_sides: bool = True
+    """Whether walls that the laser would see from behind are left out of the local map."""
     key_scans: int = 40
     """Number of the newest key scans in the local map."""
     key_distance_m: float = 0.2
@@ -114,7 +116,8 @@ class LaserOdometry:
         self._beams: Beams | None = None
         self._matcher = Matcher(config.matching, seed)
         self._filter = ConstantVelocity(config.prediction)
-        self._local = LocalMap(config.ndt, config.key_scans if config.reference == "local_map" else 1)
+        many = config.reference == "local_map"
+        self._local = LocalMap(config.ndt, config.key_scans if many else 1, many and config.walls_have_sides)
         fine_share = config.matching.fine_share if config.matching.polish else 0.0
         self._certainty = Certainty(config.matching.score_weight, fine_share)
         self._blindness = Blindness()

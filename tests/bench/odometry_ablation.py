@@ -22,7 +22,7 @@ from processing.evolution import TABLE_1
 from processing.odometry import LaserOdometry, OdometryConfig
 from processing.se2 import between, compose, invert
 
-PLACES = ("room", "corridor with doors", "hall", "demo", "square of corridors")
+PLACES = ("room", "corridor with doors", "hall", "demo", "square of corridors", "office floor")
 FIRST = {"intel": 2000, "fr079": 1500}
 WARM_UP = 20
 
@@ -55,6 +55,7 @@ def variants() -> dict[str, OdometryConfig]:
         "cells 1 + 0.5 m": replace(base, ndt=replace(n, cell_m=1.0, fine_cell_m=0.5)),
         "cells 0.5 + 0.125 m": replace(base, ndt=replace(n, cell_m=0.5, fine_cell_m=0.125)),
         "walls not filled in": replace(base, fill_m=0.0),
+        "walls without sides": replace(base, walls_have_sides=False),
         "flat cells not stretched": replace(base, ndt=replace(n, flat_stretch=1.0)),
         "DE alone": replace(base, matching=replace(m, polish=False)),
         "DE of Table 1 + polish": replace(base, matching=table_1),

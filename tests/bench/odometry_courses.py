@@ -12,6 +12,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from floor_plans import floor_plan
+
 from drivers import world
 from drivers.world.drive import simulate_scans
 from processing.scan import Beams, Scan
@@ -84,12 +86,15 @@ COURSES: dict[str, Callable] = {
     "demo": _drive(world.demo_building, speed_mps=0.4),
     "stand-still": _rest(world.room),
     "square of corridors": _drive(world.square_of_corridors, speed_mps=1.0),
+    "office floor": _drive(lambda: floor_plan(1), speed_mps=0.6, turn_rate_radps=1.2),
 }
+SICK = ("square of corridors", "office floor")
+"""The courses that a SICK with 180 rays is driven on; the others are those of an URG-04LX."""
 
 
 def simulated(name: str, seed: int = 0, laser: world.Laser | None = None) -> Course:
-    """Drive one of COURSES: a URG-04LX, but a SICK with 180 rays on the square of corridors."""
-    laser = laser or (world.Sick() if name == "square of corridors" else world.Urg04lx())
+    """Drive one of COURSES, with its own laser or another."""
+    laser = laser or (world.Sick() if name in SICK else world.Urg04lx())
     beams = beams_of_laser(laser)
     records = COURSES[name](seed, laser)
     scans = [Scan(stamp_ns, ranges_m, beams) for stamp_ns, ranges_m, _ in records]
