@@ -26,11 +26,11 @@ LEAST_SPREAD_M = 0.02
 """No wall is thinner: range noise and the cell's own width."""
 THINNEST_M2 = 1e-6
 """Variance below which points on a line are as good as none."""
-LONG = 4.0
+LONG = 6.0
 STRETCH = 1e4
 """A cell whose long variance is LONG times its short one is a wall: it constrains across itself only, for
 where its points end depends on where the cell lies. Its long variance is stretched by this factor. A wall
-that two passes drew a few centimetres apart is one, too: half the cell is thrice as long as that."""
+that two passes drew up to 0.05 m apart is one, too."""
 ITERATIONS = 12
 
 

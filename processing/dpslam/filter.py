@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from processing import se2
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.grid import CELL_M, METRES, STOPS
-from processing.dpslam.loops import Loops
+from processing.dpslam.loops import FAR_M, Loops
 from processing.dpslam.memory import KeyScans
 from processing.dpslam.population import Population
 from processing.dpslam.proposal import Matrix, doubted
@@ -114,6 +114,8 @@ class DpSlam:
         resampled = False
         if self.population.keys:
             resampled = self.population.update(sweep, key_t_laser, self._covariance, self._on_old_ground())
+        if not self._is_located():
+            self.population.misfits = 0
         if self.population.misfits:
             # What contradicts the map shall not overwrite it: next time it would fit.
             sweep = NOTHING_SEEN
@@ -246,6 +248,10 @@ class DpSlam:
 
     def _on_old_ground(self) -> bool:
         return self.loops is None or self.loops.linked
+
+    def _is_located(self) -> bool:
+        """Whether the path is known well enough for a scan to contradict the map, and not only the drift."""
+        return self._on_old_ground() or (self.loops is not None and self.loops.away_m() < FAR_M)
 
     def _is_key(self, key_t_laser: Pose) -> bool:
         c = self.config

@@ -299,7 +299,7 @@ class Loops:
     def _find(self) -> tuple[Pose, bool] | None:
         """Return where the last metres fit in the window, and whether that wants a second look."""
         c, at = self.config, self.path[-1]
-        away_m = self._away_m()
+        away_m = self.away_m()
         away_rad = float(np.sqrt(self._drift[2, 2]))
         reach_m = min(3.0 * away_m + 0.5, c.most_window_m)
         reach_rad = min(3.0 * away_rad + 0.1, c.most_window_rad)
@@ -328,7 +328,7 @@ class Loops:
             return None
         return result.best.map_t_points, far or rival > c.far_rival_ratio
 
-    def _away_m(self) -> float:
+    def away_m(self) -> float:
         """How far the path may be off in the direction that is known worst, one sigma."""
         return float(np.sqrt(np.linalg.eigvalsh(self._drift[:2, :2]).max()))
 
@@ -345,7 +345,7 @@ class Loops:
     def _query(self) -> Points:
         """Gather the points of the last metres of way, evenly, in the newest laser frame."""
         c = self.config
-        length_m = min(max(c.query_m, 6.0 * self._away_m()), c.most_query_m)
+        length_m = min(max(c.query_m, 6.0 * self.away_m()), c.most_query_m)
         first = int(np.searchsorted(self.way_m, self.way_m[-1] - length_m))
         here = self.path[-1]
         parts = [

@@ -135,6 +135,32 @@ def test_a_map_that_contradicts_what_is_seen_is_not_written_on(mapped):
     assert distance < 0.2
 
 
+def test_a_drift_that_the_map_contradicts_is_no_loss(mapped):
+    slam, poses = mapped
+    robot = DpSlam.from_state(slam.state(), CONFIG)
+    robot._is_located = lambda: False
+    odom = np.array(poses[-1])
+    course = list(drive(demo_building(), 200, seed=8, first_ns=10**12))
+    for number in range(100, 200):
+        scan, motion, _ = course[number]
+        if number > 100:
+            odom = se2.compose(odom, se2.between(poses[number - 1], poses[number]))
+        assert not robot.step(scan, moved(motion, odom)).lost
+    # It goes on by its motions.
+    assert off(robot.population.poses[robot.population.best], odom)[0] < 0.3
+
+
+def test_the_map_may_be_contradicted_where_the_path_is_known_only():
+    slam = DpSlam(DpSlamConfig(particles=2))
+    assert slam._is_located()
+    slam.loops.linked = False
+    assert slam._is_located()
+    slam.loops._drift = np.diag((0.01, 1.0, 0.001))
+    assert not slam._is_located()
+    slam.loops.linked = True
+    assert slam._is_located()
+
+
 def test_a_search_survives_a_restart(mapped):
     slam, poses = mapped
     robot = DpSlam.from_state(slam.state(), CONFIG)
