@@ -8,7 +8,6 @@ the laser would see from behind are left out of the reference, as what faces awa
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from processing.facing_kernels import look_behind
 from processing.ndt import Ndt, NdtConfig, Points
@@ -57,12 +56,15 @@ class LocalMap:
         vars(self).update(state)
         self.reference = Ndt(self._config)
         self._gather()
-        if self.keys:
-            self._build(self._place)
+        if self._place is not None:
+            self._build_from(self._place)
+        elif self.keys:
+            self.reference.build(self._points)
 
     def clear(self) -> None:
         """Forget everything; the reference stays until there is another scan."""
         self.keys.clear()
+        self._place = None
         self._gather()
 
     def add(self, odom_t_laser: Pose, points: Points, normals: Points) -> None:
@@ -78,19 +80,24 @@ class LocalMap:
         self.keys.append(key)
         del self.keys[: -self._most]
         self._gather()
-        self._build(odom_t_laser[:2].copy() if self._sides else None)
+        if self._sides:
+            self._build_from(odom_t_laser[:2])
+        else:
+            self.reference.build(self._points)
 
     def face(self, odom_t_laser: Pose) -> None:
         """Look at the map from a place (3,): leave out what faces away from there."""
         if self._place is None:
             return
-        if abs(self._look(odom_t_laser[:2]) - self._hidden) > CHANGE * len(self._points):
-            self._build(odom_t_laser[:2].copy())
+        hidden = self._look(odom_t_laser[:2])
+        if abs(hidden - self._hidden) > CHANGE * len(self._points):
+            self._build_seen(odom_t_laser[:2], hidden)
 
     def show_all(self) -> None:
         """Put everything into the reference: the laser may be anywhere."""
         if self._place is not None:
-            self._build(None)
+            self._place = None
+            self.reference.build(self._points)
 
     def _gather(self) -> None:
         none = np.zeros((0, 2))
@@ -103,10 +110,10 @@ class LocalMap:
         x, y = place.tolist()
         return int(look_behind(self._points, self._normals, x, y, BEHIND_M, BEHIND_SLANT, self._behind))
 
-    def _build(self, place: NDArray[np.float64] | None) -> None:
-        self._place = place
-        if place is None:
-            self.reference.build(self._points)
-            return
-        self._hidden = self._look(place)
+    def _build_from(self, place: Points) -> None:
+        self._build_seen(place, self._look(place))
+
+    def _build_seen(self, place: Points, hidden: int) -> None:
+        """Build the reference of what the last look, from this place (2,), has left."""
+        self._place, self._hidden = place.copy(), hidden
         self.reference.build(np.ascontiguousarray(self._points[~self._behind]))

@@ -121,7 +121,6 @@ class LaserOdometry:
         fine_share = config.matching.fine_share if config.matching.polish else 0.0
         self._certainty = Certainty(config.matching.score_weight, fine_share)
         self._blindness = Blindness()
-        self._whole = config.reference_points == "all"
 
     def step(self, scan: Scan, missed: int = 0) -> Match:
         """Match the next scan.
@@ -170,7 +169,7 @@ class LaserOdometry:
             watch.remember(transform(self._filter.pose, ends))
         key = anew or (fits and not watch.doubtful and self._is_key())
         if key:
-            whole = self._whole
+            whole = self.config.reference_points == "all"
             seen = resampler.filled(self.config.fill_m) if whole else (points, np.zeros_like(points))
             self._local.add(self._filter.pose, *seen)
         return Match(

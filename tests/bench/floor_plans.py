@@ -6,7 +6,7 @@ The same seed gives the same floor.
 
 import sys
 from collections import Counter
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -200,8 +200,6 @@ class Crowded:
     def __init__(self, laser: Laser, building: Building, people: int, seed: int) -> None:
         rng = np.random.default_rng(seed)
         self._laser, self._scans = laser, 0
-        for one in fields(laser):
-            setattr(self, one.name, getattr(laser, one.name))
         lengths = np.hypot(*np.diff(building.route, axis=0).T)
         legs = np.flatnonzero(lengths > 4.0)
         self._people = []
@@ -218,6 +216,9 @@ class Crowded:
                     ahead_m=rng.uniform(0.0, 50.0),
                 )
             )
+
+    def __getattr__(self, name: str):
+        return getattr(self._laser, name)
 
     def measure(self, building: Building, map_t_laser, rng):
         """Return what the laser measures (beams,) with the people where they are at this scan."""

@@ -16,11 +16,12 @@ from floor_plans import floor_plan
 
 from drivers import world
 from drivers.world.drive import simulate_scans
-from processing.scan import Beams, Scan
+from processing.scan import Scan
 from processing.se2 import between, compose, wrap
 from runtime.formats.logs import open_log
 from runtime.formats.relations import Relations, read_relations
 from runtime.nodes.log_scans import beams_of, iterate
+from tests.lasers import beams_of_laser
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 BASE_T_LASER = {"fr079": np.array((-0.04, 0.0, 0.0))}
@@ -44,19 +45,6 @@ class Course:
     def way_m(self) -> float:
         """Length of the true way."""
         return float(np.hypot(*np.diff(self.truth[:, :2], axis=0).T).sum())
-
-
-def beams_of_laser(laser: world.Laser) -> Beams:
-    """Geometry of a simulated laser, as its messages carry it."""
-    return Beams(
-        count=laser.beams,
-        angle_min_rad=laser.angle_min_rad,
-        angle_increment_rad=laser.angle_increment_rad,
-        time_increment_s=laser.time_increment_s,
-        period_s=laser.period_s,
-        range_min_m=laser.range_min_m,
-        range_max_m=laser.range_max_m,
-    )
 
 
 def _drive(building, **options):

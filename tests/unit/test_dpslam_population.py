@@ -7,7 +7,8 @@ from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.population import Population
 from processing.dpslam.sweep import Sweeper
 from processing.motion import Motion
-from processing.scan import Beams, Scan
+from processing.scan import Scan
+from tests.lasers import beams_of_laser
 
 COVARIANCE = np.diag((0.03**2, 0.03**2, 0.01**2))
 
@@ -15,15 +16,7 @@ COVARIANCE = np.diag((0.03**2, 0.03**2, 0.01**2))
 def population_and_sweep():
     """Particles that have written one scan of a room, and that scan again."""
     laser = Urg04lx()
-    beams = Beams(
-        count=laser.beams,
-        angle_min_rad=laser.angle_min_rad,
-        angle_increment_rad=laser.angle_increment_rad,
-        time_increment_s=laser.time_increment_s,
-        period_s=laser.period_s,
-        range_min_m=laser.range_min_m,
-        range_max_m=laser.range_max_m,
-    )
+    beams = beams_of_laser(laser)
     poses = np.tile((2.0, 1.5, 0.4), (laser.beams, 1))
     ranges_m = laser.measure(room(), poses, np.random.default_rng(1))
     config = DpSlamConfig(particles=20)

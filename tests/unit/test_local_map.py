@@ -13,7 +13,8 @@ from processing.evaluation import absolute_errors
 from processing.local_map import BEHIND_M, BEHIND_SLANT, LocalMap
 from processing.ndt import NdtConfig
 from processing.odometry import LaserOdometry, OdometryConfig
-from processing.scan import Beams, Scan
+from processing.scan import Scan
+from tests.lasers import beams_of_laser
 
 
 def faced(points):
@@ -150,15 +151,7 @@ def test_who_turns_round_in_a_room_is_not_off_by_the_thickness_of_its_wall(wall_
     free = [(0.0, 0.0, 12.0, 2.2), (3.9, 2.2 + wall_m, 9.9, 5.2 + wall_m), (5.55, 2.2, 6.45, 2.2 + wall_m)]
     way = np.array(((1.0, 1.1), (6.0, 1.1), (6.0, 3.7 + wall_m), (6.0, 1.1), (11.0, 1.1)))
     building, laser = Building(outline(free), route=way), Sick()
-    beams = Beams(
-        count=laser.beams,
-        angle_min_rad=laser.angle_min_rad,
-        angle_increment_rad=laser.angle_increment_rad,
-        time_increment_s=laser.time_increment_s,
-        period_s=laser.period_s,
-        range_min_m=laser.range_min_m,
-        range_max_m=laser.range_max_m,
-    )
+    beams = beams_of_laser(laser)
     drive = list(simulate_scans(building, laser=laser, speed_mps=0.6, turn_rate_radps=1.2, seed=0))
     worst_m = []
     for sides in (True, False):

@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from drivers.world import Sick, square_of_corridors
 from drivers.world.drive import simulate_scans
 from processing.odometry import LaserOdometry, OdometryConfig
-from processing.scan import Beams, Scan
+from processing.scan import Scan
 from processing.wall_kernels import LEAST_SLANT, SPACING_M, STRAIGHT, STRAIGHT_M, fill_walls
+from tests.lasers import beams_of_laser
 
 
 def filled(points, rays, most_m=4.0, room=2000):
@@ -111,15 +112,7 @@ def test_nothing_is_written_past_the_room():
 @pytest.mark.parametrize(("side_m", "speed_mps"), [(40.0, 1.0), (100.0, 0.8)])
 def test_a_robot_with_a_coarse_laser_starts_in_a_corridor_without_standing_still(side_m, speed_mps):
     laser = Sick()
-    beams = Beams(
-        count=laser.beams,
-        angle_min_rad=laser.angle_min_rad,
-        angle_increment_rad=laser.angle_increment_rad,
-        time_increment_s=laser.time_increment_s,
-        period_s=laser.period_s,
-        range_min_m=laser.range_min_m,
-        range_max_m=laser.range_max_m,
-    )
+    beams = beams_of_laser(laser)
     building = square_of_corridors(side_m)
     drive = list(simulate_scans(building, laser=laser, speed_mps=speed_mps, max_scans=75, seed=0))
     odometry = LaserOdometry(OdometryConfig(), 0)
