@@ -143,3 +143,12 @@ class Matcher:
             evaluations=evaluations,
             polish_steps=steps,
         )
+
+    def information(self, points: Points, reference: Ndt, pose: Pose) -> Matrix:
+        """Return the information (3, 3) that points (N, 2) alone give at a pose, as in `Matching`."""
+        points = np.ascontiguousarray(points)
+        information = reference.score(points, pose).information
+        if self.config.polish and reference.fine is not None:
+            share, fine = self.config.fine_share, reference.fine.score(points, pose).information
+            information = (1.0 - share) * information + share * fine
+        return self.config.score_weight * information

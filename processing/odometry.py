@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.certainty import Certainty
+from processing.footing import Footing
 from processing.local_map import LocalMap
 from processing.matching import Matcher, Matching, MatchingConfig
 from processing.motion import Motion, anew_covariance, doubted_covariance, lost_covariance
 from processing.ndt import NdtConfig
-from processing.observability import Blindness, blind_m, view
+from processing.observability import Blindness, blind_m
 from processing.prediction import (
     ConstantVelocity,
     Cruise,
@@ -61,6 +62,8 @@ class OdometryConfig:
     """Greatest gap between two rays on one straight wall that is filled in the reference; 0 for none."""
     walls_have_sides: bool = True
     """Whether walls that the laser would see from behind are left out of the local map."""
+    walkers_left_out: bool = True
+    """Whether small things that walk, or may, are not trusted along directions that no wall sees."""
     key_scans: int = 40
     """Number of the newest key scans in the local map."""
     key_distance_m: float = 0.2
@@ -119,6 +122,7 @@ class LaserOdometry:
         many = config.reference == "local_map"
         self._local = LocalMap(config.ndt, config.key_scans if many else 1, many and config.walls_have_sides)
         fine_share = config.matching.fine_share if config.matching.polish else 0.0
+        self._footing = Footing(self._matcher, many and config.walkers_left_out)
         self._certainty = Certainty(config.matching.score_weight, fine_share)
         self._blindness = Blindness()
 
@@ -139,6 +143,10 @@ class LaserOdometry:
         twist = self._filter.twist if self.config.deskew else np.zeros(3)
         ends = resampler.points(scan, twist, middle_s)
         points = resampler.means()
+        if prior is not None:
+            taken = self._filter.twist if self._footing.firm else self._steady()
+            spans_m = resampler.spans_m(len(points))
+            points = self._footing.leave_out(points, spans_m, float(prior.pose[2]), taken, duration_s)
         matching, fits, unseen = None, False, np.zeros((0, 2))
         covariance = self._filter.covariance[:3, :3]
         sees = len(points) > 0 and not shaded(points)
@@ -149,7 +157,7 @@ class LaserOdometry:
         if prior is not None and matching is not None and (watch.trying or not watch.lost):
             # One that does not fit may still tell a little, as long as it is not known to be wrong.
             before = self._filter.twist
-            unseen = self._correct(matching, prior, old_pose if fits else None, duration_s)
+            unseen = self._correct(points, matching, prior, old_pose if fits else None, duration_s)
             covariance = self._certainty.judge(
                 scan,
                 len(ends),
@@ -165,6 +173,7 @@ class LaserOdometry:
             self._local.clear()
             self._filter.forget_velocity()
             self._cruise.forget()
+            self._footing.forget()
         if anew or fits:
             watch.remember(transform(self._filter.pose, ends))
         key = anew or (fits and not watch.doubtful and self._is_key())
@@ -182,11 +191,14 @@ class LaserOdometry:
             evaluations=0 if matching is None else matching.evaluations,
         )
 
-    def _correct(self, matching: Matching, prior: Prior, old_pose: Pose | None, duration_s: float) -> Points:
+    def _correct(
+        self, points: Points, matching: Matching, prior: Prior, old_pose: Pose | None, duration_s: float
+    ) -> Points:
         """Take the match into the filter, where it sees; elsewhere the laser goes on as it did.
 
         Args:
-            matching: Of the scan, which need not fit.
+            points: (N, 2) that were matched.
+            matching: Of them, which need not fit.
             prior: Where the scan was expected.
             old_pose: (3,) at the scan before; None if the scan does not fit.
             duration_s: Since then.
@@ -194,7 +206,9 @@ class LaserOdometry:
         Returns:
             (K, 2) unit vectors of the directions that are not seen, laser frame.
         """
-        seen = view(matching.information, blind_m(self._filter.drift_m(duration_s)))
+        was_firm = self._footing.firm
+        limit_m = blind_m(self._filter.drift_m(duration_s))
+        seen = self._footing.learn(points, matching, self._local.reference, limit_m)
         pose = seen.hold(matching.pose, prior.pose)
         information = turned(seen.information, -pose[2])
         if self._watch.doubtful:
@@ -203,10 +217,18 @@ class LaserOdometry:
         unseen = _in_laser(seen.unseen, pose[2])
         self._filter.bound(unseen)
         if len(unseen):
-            self._filter.steer(unseen, self._cruise.velocity(self._filter.twist, self._filter.doubt_m_s))
-        elif old_pose is not None and not self._watch.doubtful:
+            self._filter.steer(unseen, self._steady())
+        # The first motion that is seen again takes back what was wrong before: it is no velocity.
+        firm = was_firm and self._footing.firm
+        if firm and old_pose is not None and not self._watch.doubtful:
             self._cruise.see(between(old_pose, pose), duration_s)
+            self._footing.believe(self._filter.twist)
         return unseen
+
+    def _steady(self) -> NDArray[np.float64]:
+        """Return the velocity (2,), laser frame, that the laser has had, as far as walls told."""
+        twist = self._footing.sure_twist(self._filter.twist)
+        return self._cruise.velocity(twist, self._filter.doubt_m_s)
 
     def _locate(self, points: Points, prior: Prior, watch: Watch) -> tuple[Matching, bool]:
         """Match the scan where it is expected; where it does not fit there, look farther.

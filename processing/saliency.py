@@ -114,3 +114,16 @@ class Resampler:
             self._work,
         )
         return self._means[:written].copy()
+
+    def spans_m(self, count: int) -> NDArray[np.float64]:
+        """Return how far the surface reaches from its first point that each of the last `count` means is of.
+
+        Without resampling nothing is known of surfaces: all of them count as endless.
+        """
+        if self._wanted == 0 or count == 0:
+            return np.full(count, np.inf)
+        pieces = self._work[: self._count, 3].astype(np.int64)
+        firsts = np.flatnonzero(np.diff(pieces, prepend=-1))
+        reach = np.hypot(*(self._points[: self._count] - self._points[firsts[pieces]]).T)
+        owners = pieces[np.cumsum(self._members[:count]) - 1]
+        return np.asarray(np.maximum.reduceat(reach, firsts)[owners], np.float64)

@@ -247,7 +247,7 @@ class DpSlam:
         return occupancy_of(stops, metres, CELL_M, (corner[1] * CELL_M, corner[0] * CELL_M))
 
     def _on_old_ground(self) -> bool:
-        return self.loops is None or self.loops.linked
+        return self.loops is None or self.loops.on_settled_map
 
     def _is_located(self) -> bool:
         """Whether the path is known well enough for a scan to contradict the map, and not only the drift."""

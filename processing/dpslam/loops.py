@@ -143,6 +143,11 @@ class Loops:
             return self._close()
         return None
 
+    @property
+    def on_settled_map(self) -> bool:
+        """Whether the newest key scans lie where the laser was before, and not only a moment ago."""
+        return self.linked and self._settled > 0
+
     def smoothed(self) -> Pose:
         """Return the path (K, 3) that satisfies all relations best."""
         return smooth(self.path, self._relations()).poses if len(self.path) > 1 else self.path.copy()

@@ -34,6 +34,7 @@ CHAINS: tuple[tuple[float, tuple[str, ...]], ...] = (
     (3.0, ("wide_match_kernels",)),
     (2.5, ("saliency_kernels",)),
     (2.0, ("dpslam.ancestry",)),
+    (3.5, ("walker_kernels",)),
 )
 """CPU seconds that each chain takes, of which only the ratios count; and its modules of `processing`,
 who uses another's loops after it."""

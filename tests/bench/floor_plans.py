@@ -6,7 +6,7 @@ The same seed gives the same floor.
 
 import sys
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from drivers.world import Building, Laser, box, outline
 from drivers.world.building import Rectangle
+from tests.people import Peopled, Person
 
 WALL_M = 0.2
 RECESS_M = 0.1
@@ -24,8 +25,6 @@ OPEN, CLOSED = 0.5, 0.85
 """Share of the rooms with an open door; up to the second one, a closed one; the others show nothing."""
 CLEAR_M = 0.6
 """Between the way and whatever stands in a room."""
-STRIDE_M, LEG_M = 0.7, 0.07
-"""Of somebody who walks: from footfall to footfall, and the radius of a leg."""
 
 
 @dataclass(slots=True)
@@ -171,63 +170,21 @@ def _furniture(floor: _Floor, route: NDArray[np.float64]) -> tuple[list, list]:
     return pieces, pillars
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Person:
-    """Walks to and fro between two places."""
-
-    start: NDArray[np.float64]
-    end: NDArray[np.float64]
-    speed_mps: float
-    ahead_m: float
-
-    def legs(self, time_s: float) -> NDArray[np.float64]:
-        """Return x, y, radius (2, 3) of both legs."""
-        way = self.end - self.start
-        length = float(np.hypot(*way))
-        gone = self.ahead_m + self.speed_mps * time_s
-        along = gone % (2.0 * length)
-        along, sign = (along, 1.0) if along <= length else (2.0 * length - along, -1.0)
-        forward, left = way / length, np.array((-way[1], way[0])) / length
-        swing = 0.25 * np.sin(np.pi * gone / STRIDE_M)
-        body = self.start + forward * along
-        feet = [body + forward * sign * swing * side + left * 0.1 * side for side in (1.0, -1.0)]
-        return np.array([(*foot, LEG_M) for foot in feet])
-
-
-class Crowded:
-    """A laser in a building where people walk to and fro along the way; quacks as the laser does."""
-
-    def __init__(self, laser: Laser, building: Building, people: int, seed: int) -> None:
-        rng = np.random.default_rng(seed)
-        self._laser, self._scans = laser, 0
-        lengths = np.hypot(*np.diff(building.route, axis=0).T)
-        legs = np.flatnonzero(lengths > 4.0)
-        self._people = []
-        for number in rng.choice(legs, people):
-            start, end = building.route[number], building.route[number + 1]
-            aside = (
-                np.array((start[1] - end[1], end[0] - start[0])) / lengths[number] * rng.choice((-0.45, 0.45))
+def crowded(laser: Laser, building: Building, people: int, seed: int) -> Peopled:
+    """Return a laser among so many people, who walk to and fro along the way through a building."""
+    rng = np.random.default_rng(seed)
+    lengths = np.hypot(*np.diff(building.route, axis=0).T)
+    legs = np.flatnonzero(lengths > 4.0)
+    walkers = []
+    for number in rng.choice(legs, people):
+        start, end = building.route[number], building.route[number + 1]
+        aside = np.array((start[1] - end[1], end[0] - start[0])) / lengths[number] * rng.choice((-0.45, 0.45))
+        walkers.append(
+            Person(
+                start=start + aside,
+                end=end + aside,
+                speed_mps=rng.uniform(0.7, 1.4),
+                ahead_m=rng.uniform(0.0, 50.0),
             )
-            self._people.append(
-                _Person(
-                    start=start + aside,
-                    end=end + aside,
-                    speed_mps=rng.uniform(0.7, 1.4),
-                    ahead_m=rng.uniform(0.0, 50.0),
-                )
-            )
-
-    def __getattr__(self, name: str):
-        return getattr(self._laser, name)
-
-    def measure(self, building: Building, map_t_laser, rng):
-        """Return what the laser measures (beams,) with the people where they are at this scan."""
-        time_s = self._scans * self._laser.period_s
-        self._scans += 1
-        legs = [person.legs(time_s) for person in self._people]
-        here = map_t_laser[0, :2]
-        # Nobody walks through the robot.
-        legs = [pair for pair in legs if np.hypot(*(pair[:, :2] - here).T).min() > 0.4]
-        return self._laser.measure(
-            replace(building, pillars=np.vstack((building.pillars, *legs))), map_t_laser, rng
         )
+    return Peopled(laser, walkers)

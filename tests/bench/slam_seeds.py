@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from floor_plans import Crowded, floor_plan
+from floor_plans import crowded, floor_plan
 from odometry_courses import Course, beams_of_laser, logged
 
 from drivers import world
@@ -67,7 +67,7 @@ def _floor(laser: Callable, people: int, bound_m: float, **drive) -> Callable:
 
     def make(seed: int) -> Drive:
         building, sensor = floor_plan(seed), laser()
-        looking = Crowded(sensor, building, people, seed) if people else sensor
+        looking = crowded(sensor, building, people, seed) if people else sensor
         records = list(simulate_scans(building, laser=looking, seed=seed, **drive))
         beams = beams_of_laser(sensor)
         scans = [Scan(stamp_ns, ranges_m, beams) for stamp_ns, ranges_m, _ in records]

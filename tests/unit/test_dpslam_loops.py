@@ -87,6 +87,22 @@ def test_a_loop_takes_the_drift_out_of_the_whole_path(round_the_block):
     assert worst(smoothed, round_the_block) < 0.4
 
 
+def test_ground_is_old_only_when_something_lies_behind_and_the_laser_is_on_it(round_the_block):
+    loops = Loops(LoopConfig())
+    motions = drifting(round_the_block, 0.0, 0.0)
+    assert not loops.on_settled_map
+    old = []
+    for k, (points, _) in enumerate(round_the_block):
+        new = np.zeros(3) if k == 0 else compose(loops.path[-1], motions[k])
+        loops.step(motions[k], np.zeros((3, 3)), points, np.vstack((loops.path, new)))
+        old.append(loops.on_settled_map)
+    behind = np.array(loops.way_m) > LoopConfig().reach_m
+    assert not any(np.array(old)[~behind])
+    # On the second way round the laser is where it was, once it has been found there.
+    assert not all(old)
+    assert all(old[-10:])
+
+
 def test_a_path_without_drift_is_not_bent(round_the_block):
     loops, _ = follow(round_the_block, drifting(round_the_block, 0.0, 0.0))
     assert worst(loops.smoothed(), round_the_block) < 0.06

@@ -69,6 +69,10 @@ TWINS = {
         "look_behind": "unit/test_local_map.py::test_what_is_seen_from_behind_is_that_of_the_plain_twin",
     },
     "sight_kernels": {"": "unit/test_sightlines.py::test_the_compiled_look_back_is_the_plain_one"},
+    "walker_kernels": {
+        "things_of": "unit/test_walkers.py::test_things_are_what_hangs_together",
+        "": "unit/test_walkers.py::test_the_compiled_look_is_the_plain_one",
+    },
     "ndt_kernels": {
         "accumulate": SCORE,
         "fit": SCORE,

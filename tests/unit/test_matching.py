@@ -207,6 +207,19 @@ def test_information_counts_the_points_and_their_weight():
     assert twice.score == pytest.approx(one.score, abs=1e-4) == pytest.approx(heavy.score, abs=1e-4)
 
 
+@pytest.mark.parametrize("fine_cell_m", [0.0, 0.25])
+@pytest.mark.parametrize("polished", [True, False])
+def test_the_information_of_all_points_is_that_of_the_match_and_parts_add_up(fine_cell_m, polished):
+    reference = built(ROOM, NdtConfig(fine_cell_m=fine_cell_m))
+    matcher = Matcher(MatchingConfig(polish=polished), 1)
+    found = matcher.match(ROOM, reference, Prior(np.array((0.02, 0.01, 0.01)), LOOSE))
+    whole = matcher.information(ROOM, reference, found.pose)
+    np.testing.assert_allclose(whole, found.information, rtol=1e-6, atol=1e-3)
+    parts = [matcher.information(part, reference, found.pose) for part in (ROOM[::3], ROOM[1::3], ROOM[2::3])]
+    np.testing.assert_allclose(sum(parts), whole, rtol=1e-9, atol=1e-6)
+    assert not matcher.information(ROOM[:0], reference, found.pose).any()
+
+
 def test_nothing_to_match_leaves_the_pose_where_the_prior_says():
     prior = Prior(np.array((0.3, -0.2, 1.0)), LOOSE)
     for points, reference in ((np.empty((0, 2)), built(ROOM)), (ROOM, built(np.empty((0, 2))))):

@@ -12,6 +12,7 @@ from processing.odometry import LaserOdometry, OdometryConfig, Tracking
 from processing.scan import Beams, Scan
 from processing.slam import Slam, SlamConfig
 from runtime.nodes.convert import motion_from_message, motion_to_message
+from tests.people import Peopled, Person
 
 LASER = Urg04lx()
 BEAMS = Beams(
@@ -147,6 +148,37 @@ def test_covered_for_a_moment_in_a_plain_corridor_it_goes_on_and_does_not_know_h
     assert np.sqrt(covariance[0, 0]) > 0.2
     assert np.sqrt(covariance[1, 1]) < 0.1
     assert abs(off(matches[again], matches[99], se2.between(truth[99], truth[again]))[1]) < 0.03
+
+
+def along_a_corridor(person, **how):
+    """True poses and matches of a drive out of a room along a plain corridor in which somebody walks."""
+    start, end, speed_mps = person
+    building = Building(
+        outline([(0.0, -2.0, 6.0, 3.0), (6.0, 0.0, 60.0, 2.0)]), route=np.array(((2.0, 1.0), (59.0, 1.0)))
+    )
+    people = [Person(start=np.array(start), end=np.array(end), speed_mps=speed_mps)]
+    course = list(
+        simulate_scans(
+            building, laser=Peopled(LASER, people), speed_mps=0.4, max_scans=300, rest_s=0.0, seed=3
+        )
+    )
+    poses = np.array([pose for _, _, pose in course])
+    odometry = LaserOdometry(OdometryConfig(**how), 1)
+    matches = [odometry.step(Scan(ns, ranges_m.copy(), BEAMS)) for ns, ranges_m, _ in course]
+    return se2.between(poses[0], poses), matches
+
+
+@pytest.mark.parametrize("person", [((30.0, 1.4), (1.0, 1.4), 0.9), ((30.0, 0.7), (1.0, 0.7), 1.2)])
+def test_who_walks_through_a_plain_corridor_does_not_take_the_laser_with_him(person):
+    truth, matches = along_a_corridor(person)
+    trusting = along_a_corridor(person, walkers_left_out=False)[1]
+    way = truth[-1, 0]
+    assert way > 10.0
+    assert abs(matches[-1].motion.odom_t_laser[0] - way) < 0.1
+    assert abs(trusting[-1].motion.odom_t_laser[0] - way) > 0.4
+    # And nobody claims that it is known.
+    assert {match.state for match in matches[150:]} <= {Tracking.DEGENERATE, Tracking.TRACKING}
+    assert [match.state for match in matches[150:]].count(Tracking.DEGENERATE) > 100
 
 
 def test_lifted_and_put_down_within_the_local_map_it_is_found_there(course):

@@ -151,6 +151,34 @@ def test_surfaces_apart_are_never_mixed_into_one_point():
         assert np.all((np.abs(means[:, 0] - 2.0) < 1e-3) | (np.linalg.norm(means, axis=1) < 1.001))
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_each_point_knows_how_far_its_surface_reaches(seed):
+    ranges = wall_ranges(2.0, 0.0, 1.1)
+    bearings = BEAMS.bearings()
+    ranges[np.abs(bearings - 0.3) < 0.05] = 1.0
+    ranges[np.abs(bearings + 0.4) < 0.1] = 1.2
+    ranges += np.random.default_rng(seed).normal(0.0, 0.005, len(ranges)).astype(np.float32)
+    resampler = Resampler(ResamplingConfig(), BEAMS)
+    resampler.points(Scan(0, ranges, BEAMS), STILL)
+    means = resampler.means()
+    spans = resampler.spans_m(len(means))
+    away = np.linalg.norm(means, axis=1)
+    post, pillar = (away > 0.9) & (away < 1.1), (away > 1.1) & (away < 1.3)
+    assert post.any()
+    assert pillar.any()
+    np.testing.assert_allclose(spans[post], 0.1, atol=0.03)
+    np.testing.assert_allclose(spans[pillar], 0.24, atol=0.03)
+    # The wall is cut in three by what stands before it.
+    assert spans[~post & ~pillar].min() > 0.5
+
+
+def test_without_resampling_no_surface_has_an_end():
+    resampler = Resampler(ResamplingConfig(points=0), BEAMS)
+    resampler.points(Scan(0, see(room(), (2.0, 2.0, 0.0), 1), BEAMS), STILL)
+    assert (resampler.spans_m(len(resampler.means())) == np.inf).all()
+    assert Resampler(ResamplingConfig(), BEAMS).spans_m(0).shape == (0,)
+
+
 def line_angle(points):
     off = points - points.mean(axis=0)
     xx, xy, yy = (off[:, 0] ** 2).sum(), (off[:, 0] * off[:, 1]).sum(), (off[:, 1] ** 2).sum()
