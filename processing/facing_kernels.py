@@ -15,49 +15,69 @@ THIN = 0.1
 """Greatest ratio of the variances of points on one wall."""
 
 
+@njit("f8(f8[::1], f8[::1])", cache=True, nogil=True)
+def across(sums, normal):
+    """Write the short axis (2,) of points; return the ratio of their variances, infinity if they are too few.
+
+    `sums` (6,): their number, sums of u, v, u^2, u v, v^2.
+    """
+    n = sums[0]
+    if n < LEAST:
+        return np.inf
+    mu, mv = sums[1] / n, sums[2] / n
+    xx, xy, yy = sums[3] / n - mu * mu, sums[4] / n - mu * mv, sums[5] / n - mv * mv
+    half, mean = 0.5 * (xx - yy), 0.5 * (xx + yy)
+    root = np.sqrt(half * half + xy * xy)
+    angle = 0.5 * np.arctan2(xy, half)
+    normal[0], normal[1] = -np.sin(angle), np.cos(angle)
+    return (mean - root) / max(mean + root, 1e-12)
+
+
 @njit("void(f8[:,::1], i8, f8[:,::1])", cache=True, nogil=True)
 def face(points, count, normals):
     """Write the unit normal of each point's wall, towards the laser at the origin; 0 where there is no wall.
+
+    The wall is that of the neighbours on both sides; at a corner, of those on the straighter side.
 
     Args:
         points: (N, 2) m, laser frame, in the order of their rays.
         count: How many of them there are.
         normals: (M, 2), M >= count; the answer.
     """
+    sums, normal = np.empty((3, 6)), np.empty(2)
     for i in range(count):
         x, y = points[i, 0], points[i, 1]
         near_2 = NEAR_M * NEAR_M
         reach_2 = max(near_2, REACH * REACH * (x * x + y * y))
-        n = 1.0
-        su = sv = suu = suv = svv = 0.0
-        for step in (-1, 1):
+        sums[:] = 0.0
+        sums[:, 0] = 1.0
+        for side in range(1, 3):
+            step = 2 * side - 3
             j = i + step
             while 0 <= j < count:
                 u, v = points[j, 0] - x, points[j, 1] - y
                 away_2 = u * u + v * v
                 if away_2 > reach_2 or (away_2 > near_2 and abs(j - i) > ENOUGH):
                     break
-                n += 1.0
-                su += u
-                sv += v
-                suu += u * u
-                suv += u * v
-                svv += v * v
+                sums[side, 0] += 1.0
+                sums[side, 1] += u
+                sums[side, 2] += v
+                sums[side, 3] += u * u
+                sums[side, 4] += u * v
+                sums[side, 5] += v * v
                 j += step
+        sums[0] = sums[1] + sums[2]
+        sums[0, 0] -= 1.0
         normals[i, 0] = normals[i, 1] = 0.0
-        if n < LEAST:
-            continue
-        mu, mv = su / n, sv / n
-        xx, xy, yy = suu / n - mu * mu, suv / n - mu * mv, svv / n - mv * mv
-        half = 0.5 * (xx - yy)
-        root = np.sqrt(half * half + xy * xy)
-        if 0.5 * (xx + yy) - root > THIN * (0.5 * (xx + yy) + root):
-            continue
-        angle = 0.5 * np.arctan2(xy, half)
-        nx, ny = -np.sin(angle), np.cos(angle)
-        if nx * x + ny * y > 0.0:
-            nx, ny = -nx, -ny
-        normals[i, 0], normals[i, 1] = nx, ny
+        thinnest = THIN
+        for part in range(3):
+            if part == 1 and thinnest < THIN:
+                break
+            ratio = across(sums[part], normal)
+            if ratio < thinnest:
+                thinnest = ratio
+                away = 1.0 if normal[0] * x + normal[1] * y > 0.0 else -1.0
+                normals[i, 0], normals[i, 1] = -away * normal[0], -away * normal[1]
 
 
 @njit("i8(f8[:,::1], f8[:,::1], f8, f8, f8, f8, b1[::1])", cache=True, nogil=True)

@@ -245,10 +245,11 @@ class LaserOdometry:
             return matching, True
         if watch.accept(points, matching, prior, local.keys):
             return matching, True
-        local.show_all()
         followed = watch.follow(points, prior, self._matcher, local.reference)
         if followed is not None:
             return followed, True
+        # It may be anywhere, and see any side.
+        local.show_all()
         return watch.find(points, matching, self._filter, self._matcher, local.reference, local.keys)
 
     def _prepare(self, scan: Scan) -> tuple[Resampler, float, Watch]:

@@ -29,17 +29,27 @@ def plainly_faced(points):
     normals = np.zeros_like(points)
     for i, point in enumerate(points):
         reach_m = max(facing.NEAR_M, facing.REACH * np.hypot(*point))
-        group = [point]
+        sides = []
         for side in (points[:i][::-1], points[i + 1 :]):
+            sides.append([])
             for k, other in enumerate(side, 1):
                 away_m = np.hypot(*(other - point))
                 if away_m > reach_m or (away_m > facing.NEAR_M and k > facing.ENOUGH):
                     break
-                group.append(other)
-        values, vectors = np.linalg.eigh(np.cov(np.transpose(group), bias=True).reshape(2, 2))
-        if len(group) >= facing.LEAST and values[0] <= facing.THIN * values[1]:
-            normals[i] = vectors[:, 0] * -np.sign(vectors[:, 0] @ point)
+                sides[-1].append(other)
+        axes = [short_axis([point, *group]) for group in ([*sides[0], *sides[1]], *sides)]
+        ratio, axis = axes[0] if axes[0][0] < facing.THIN else min(axes[1:], key=lambda a: a[0])
+        if ratio < facing.THIN:
+            normals[i] = axis * -np.sign(axis @ point)
     return normals
+
+
+def short_axis(group):
+    """Ratio of the variances of points, and the axis of the smaller one."""
+    if len(group) < facing.LEAST:
+        return np.inf, np.zeros(2)
+    values, vectors = np.linalg.eigh(np.cov(np.transpose(group), bias=True))
+    return values[0] / values[1], vectors[:, 0]
 
 
 def wall(x_m, y0_m, y1_m, count=60):
@@ -60,6 +70,15 @@ def test_a_wall_faces_the_laser_and_a_heap_faces_nowhere():
     assert (faced(heap) == 0.0).all(axis=1).mean() > 0.7
     assert (faced(heap[:3]) == 0.0).all()
     assert faced(np.zeros((0, 2))).shape == (0, 2)
+
+
+def test_a_wall_faces_the_laser_up_to_its_corner():
+    # The wall beside a door, and the jamb: half the thickness of a wall.
+    beside, jamb = wall(1.0, 1.5, 0.45, 80), np.column_stack((np.linspace(1.0, 1.1, 20), np.full(20, 0.45)))
+    noise = np.random.default_rng(2).normal(0.0, 0.003, (100, 2))
+    normals = faced(np.vstack((beside, jamb)) + noise)
+    assert (normals[:79] @ (-1.0, 0.0) > 0.95).all()
+    assert (normals[84:89] @ (0.0, -1.0) > 0.95).all()
 
 
 @given(st.integers(0, 2**32 - 1))
