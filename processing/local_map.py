@@ -43,28 +43,36 @@ class LocalMap:
     def __init__(self, config: NdtConfig, most: int, sides: bool = True) -> None:
         self._config, self._most, self._sides = config, most, sides
         self.keys: list[KeyScan] = []
-        self.reference = Ndt(config)
+        self._reference = Ndt(config)
         self._gather()
         self._place: Points | None = None
         """(2,) from where the reference is seen; None if all of it is."""
+        self._stale = False
+        """Whether there are key scans that the reference does not know yet."""
 
     def __getstate__(self) -> dict[str, object]:
         """The key scans, which give everything else again, bit for bit."""
-        return {name: getattr(self, name) for name in ("_config", "_most", "_sides", "keys", "_place")}
+        kept = ("_config", "_most", "_sides", "keys", "_place", "_stale")
+        return {name: getattr(self, name) for name in kept}
 
     def __setstate__(self, state: dict[str, object]) -> None:
         vars(self).update(state)
-        self.reference = Ndt(self._config)
+        self._reference = Ndt(self._config)
         self._gather()
-        if self._place is not None:
-            self._build_from(self._place)
-        elif self.keys:
-            self.reference.build(self._points)
+        if self.keys and not self._stale:
+            self._build()
+
+    @property
+    def reference(self) -> Ndt:
+        """What scans are matched against."""
+        if self._stale:
+            self._build()
+        return self._reference
 
     def clear(self) -> None:
         """Forget everything; the reference stays until there is another scan."""
         self.keys.clear()
-        self._place = None
+        self._place, self._stale = None, False
         self._gather()
 
     def add(self, odom_t_laser: Pose, points: Points, normals: Points) -> None:
@@ -80,24 +88,26 @@ class LocalMap:
         self.keys.append(key)
         del self.keys[: -self._most]
         self._gather()
-        if self._sides:
-            self._build_from(odom_t_laser[:2])
-        else:
-            self.reference.build(self._points)
+        # The next scan will see it from elsewhere: to build it now would be to build it twice.
+        self._stale = True
+        self._place = odom_t_laser[:2].copy() if self._sides else None
 
     def face(self, odom_t_laser: Pose) -> None:
         """Look at the map from a place (3,): leave out what faces away from there."""
         if self._place is None:
             return
-        hidden = self._look(odom_t_laser[:2])
-        if abs(hidden - self._hidden) > CHANGE * len(self._points):
-            self._build_seen(odom_t_laser[:2], hidden)
+        place = odom_t_laser[:2].copy()
+        if self._stale:
+            self._place = place
+        elif abs(self._look(place) - self._hidden) > CHANGE * len(self._points):
+            self._place = place
+            self._build()
 
     def show_all(self) -> None:
         """Put everything into the reference: the laser may be anywhere."""
         if self._place is not None:
             self._place = None
-            self.reference.build(self._points)
+            self._build()
 
     def _gather(self) -> None:
         none = np.zeros((0, 2))
@@ -110,10 +120,11 @@ class LocalMap:
         x, y = place.tolist()
         return int(look_behind(self._points, self._normals, x, y, BEHIND_M, BEHIND_SLANT, self._behind))
 
-    def _build_from(self, place: Points) -> None:
-        self._build_seen(place, self._look(place))
-
-    def _build_seen(self, place: Points, hidden: int) -> None:
-        """Build the reference of what the last look, from this place (2,), has left."""
-        self._place, self._hidden = place.copy(), hidden
-        self.reference.build(np.ascontiguousarray(self._points[~self._behind]))
+    def _build(self) -> None:
+        """Build the reference of what is seen from its place."""
+        self._stale = False
+        if self._place is None:
+            self._reference.build(self._points)
+            return
+        self._hidden = self._look(self._place)
+        self._reference.build(np.ascontiguousarray(self._points[~self._behind]))
