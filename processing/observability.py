@@ -5,6 +5,7 @@ the edge of the known map pull it to a standstill. Its information tells where t
 prior is kept and the scan is taken to say nothing (solution remapping: Zhang, Kaess and Singh, ICRA 2016).
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +61,10 @@ def view(information: Matrix, limit_m: float = BLIND_M) -> View:
     shared = information[:2, 2]
     # What is left of the position's information when the yaw is not known.
     position = information[:2, :2] - np.outer(shared, shared) / max(float(information[2, 2]), 1e-9)
+    xx, xy, yy = float(position[0, 0]), float(position[0, 1]), float(position[1, 1])
+    if 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy) >= 1.0 / limit_m**2:
+        # Nearly every scan sees every direction.
+        return View(np.zeros((0, 2)), information)
     values, vectors = np.linalg.eigh(0.5 * (position + position.T))
     unseen = vectors.T[values < 1.0 / limit_m**2]
     seen = np.eye(3)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing import wide_match_kernels as kernels
+from processing.ndt import extent
 from processing.se2 import Pose
 
 LEVELS = 6
@@ -62,8 +63,9 @@ def build_field(
     if len(points_map) == 0:
         raise ValueError("0 points, must be at least 1")
     points = np.ascontiguousarray(points_map, dtype=np.float64)
-    origin = np.floor((points.min(axis=0) - margin_m) / resolution_m) * resolution_m
-    cols, rows = (np.ceil((points.max(axis=0) + margin_m - origin) / resolution_m).astype(int) + 1).tolist()
+    least, greatest = extent(points)
+    origin = np.floor((least - margin_m) / resolution_m) * resolution_m
+    cols, rows = (np.ceil((greatest + margin_m - origin) / resolution_m).astype(int) + 1).tolist()
     levels = np.zeros((LEVELS, rows, cols), dtype=np.float32)
     kernels.blur(points, origin[0], origin[1], resolution_m, sigma_m, levels[0])
     kernels.raise_pyramid(levels)

@@ -25,6 +25,7 @@ from processing.dpslam.relocation import (
     walls_of,
 )
 from processing.dpslam.sweep import Sweep
+from processing.ndt import extent
 from processing.se2 import Pose
 
 EVERY_M = 0.4
@@ -83,7 +84,7 @@ class Finder:
         self._field: wide_match.Field | None = None
         if len(walls) >= LEAST_POINTS:
             self._field = wide_match.build_field(walls, CELL_FIT_M, FIT_M, 0.5)
-            low, high = walls.min(axis=0), walls.max(axis=0)
+            low, high = extent(walls)
             self._middle = np.array((*((low + high) / 2.0), 0.0))
             self._reach_m = float((high - low).max()) / 2.0
             self._ground = ground_of(store, particle)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from processing.dpslam.settled_kernels import fit_of_points, refit, refit_all
 from processing.matching_kernels import polish
-from processing.ndt import NdtConfig, Points
+from processing.ndt import NdtConfig, Points, extent
 from processing.ndt_kernels import accumulate
 from processing.se2 import Pose
 
@@ -124,8 +124,9 @@ class SettledMap:
 
     def _cover(self, points: Points) -> None:
         """Let the window cover the points (N, 2) with a border."""
-        low = np.floor(points.min(axis=0) / self._half_m).astype(np.int64) - 2
-        high = np.floor(points.max(axis=0) / self._half_m).astype(np.int64) + 3
+        least, greatest = extent(points)
+        low = np.floor(least / self._half_m).astype(np.int64) - 2
+        high = np.floor(greatest / self._half_m).astype(np.int64) + 3
         old_low = np.round(self._origin[:2] / self._half_m).astype(np.int64)
         shape = np.array(self._slots.shape[:0:-1])
         if shape[0] == 0:
