@@ -22,6 +22,7 @@ from runtime.formats.logs import open_log
 from runtime.formats.relations import Relations, read_relations
 from runtime.nodes.log_scans import beams_of, iterate
 from tests.lasers import beams_of_laser
+from tests.people import Peopled, Person
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 BASE_T_LASER = {"fr079": np.array((-0.04, 0.0, 0.0))}
@@ -66,6 +67,15 @@ def _rest(building):
     return look
 
 
+def _among_people(seed, laser):
+    """Out of a room and along a plain corridor, where two people come and one overtakes."""
+    free = [(0.0, -2.0, 6.0, 3.0), (6.0, 0.0, 60.0, 2.0)]
+    building = world.Building(world.outline(free), route=np.array(((2.0, 1.0), (59.0, 1.0))))
+    ways = (((30.0, 1.4), (1.0, 1.4), 0.9), ((40.0, 0.7), (1.0, 0.7), 1.2), ((0.3, 0.6), (59.0, 0.6), 0.7))
+    people = [Person(start=np.array(a), end=np.array(b), speed_mps=speed) for a, b, speed in ways]
+    return list(simulate_scans(building, laser=Peopled(laser, people), seed=seed, speed_mps=0.4))
+
+
 COURSES: dict[str, Callable] = {
     "room": _drive(world.room, speed_mps=0.4, laps=2),
     "corridor with doors": _drive(world.hallway_with_doors, speed_mps=0.5),
@@ -74,6 +84,7 @@ COURSES: dict[str, Callable] = {
     "demo": _drive(world.demo_building, speed_mps=0.4),
     "stand-still": _rest(world.room),
     "square of corridors": _drive(world.square_of_corridors, speed_mps=1.0),
+    "people in a corridor": _among_people,
     "office floor": _drive(lambda: floor_plan(1), speed_mps=0.6, turn_rate_radps=1.2),
 }
 SICK = ("square of corridors", "office floor")
