@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from processing.dpslam.proposal import WIDE_M
 from processing.dpslam.settled import SettledMap
+from processing.growing import Growing
 from processing.motion import carried
 from processing.ndt import Points
 from processing.observability import view
@@ -89,8 +90,33 @@ up to which one that it saw is doubted."""
 FAR_M = 0.5
 """Drift (one sigma) from which neighbouring doors may be mistaken for each other."""
 QUERY_POINTS = 400
+NO_POINTS = np.zeros((0, 2))
 PAST = 20
 """Settled key scans without which there is nothing to come back to."""
+
+
+class Places:
+    """Where key scans lay on the settled map."""
+
+    def __init__(self) -> None:
+        self.ends = Growing((2,), np.int64)
+        """(N, 2) numbers of the settled key scan and of the one that was seen from it,"""
+        self.poses = Growing((3,))
+        """(N, 3) where,"""
+        self.informations = Growing((3, 3))
+        """(N, 3, 3) how well that is known,"""
+        self.doubts = Growing()
+        """(N,) and the chi-square at which it is doubted, 0 for never."""
+
+    def __len__(self) -> int:
+        return len(self.doubts)
+
+    def add(self, ends: tuple[int, int], pose: Pose, information: Matrix, doubt: float) -> None:
+        """Append one."""
+        self.ends.append(ends)
+        self.poses.append(pose)
+        self.informations.append(information)
+        self.doubts.append(doubt)
 
 
 class Loops:
@@ -100,10 +126,8 @@ class Loops:
         self.config = config
         self.path: Pose = np.zeros((0, 3))
         self.points: list[Points] = []
-        self.motions: list[Pose] = []
-        self.covariances: list[Matrix] = []
-        self.places: list[tuple[int, int, Pose, Matrix, float]] = []
-        self.way_m: list[float] = []
+        self.places = Places()
+        self._motions, self._covariances, self._way_m = Growing((3,)), Growing((3, 3)), Growing()
         self.linked = True
         """Whether the newest key scans lie on the settled map, or there is none yet."""
         self.closures = 0
@@ -129,19 +153,24 @@ class Loops:
         self._follow(path)
         first = not self.points
         self.points.append(np.ascontiguousarray(points, dtype=np.float64))
-        self.motions.append(np.array(motion, dtype=np.float64))
+        self._motions.append(motion)
         step_m = 0.0 if first else float(np.hypot(motion[0], motion[1]))
-        self.way_m.append(step_m + (0.0 if first else self.way_m[-1]))
-        self.covariances.append(self._with_drift(covariance, motion, step_m))
+        self._way_m.append(step_m + (0.0 if first else self.way_m[-1]))
+        self._covariances.append(self._with_drift(covariance, motion, step_m))
         if first:
             return None
-        self._drift = carried(self._drift, motion) + self.covariances[-1]
+        self._drift = carried(self._drift, motion) + self._covariances.rows[-1]
         self._settle()
         if self.linked:
             self._place()
         elif self._settled >= PAST and self._due():
             return self._close()
         return None
+
+    @property
+    def way_m(self) -> NDArray[np.float64]:
+        """(K,) length of the way up to each key scan."""
+        return self._way_m.rows
 
     @property
     def on_settled_map(self) -> bool:
@@ -155,23 +184,23 @@ class Loops:
     def forget(self, key: int) -> None:
         """Let go of the points of a settled key scan that newer ones of its place stand for."""
         if key < self._settled:
-            self.points[key] = np.zeros((0, 2))
+            self.points[key] = NO_POINTS
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return everything as arrays; `restore` takes it back."""
-        near, key, seen, known, doubt = zip(*self.places, strict=True) if self.places else ((),) * 5
+        places = self.places
         pending = (np.nan,) * 4 if self._pending is None else (self._pending[0], *self._pending[1])
         return {
             "path": self.path.copy(),
             "points": np.vstack((np.zeros((0, 2)), *self.points)),
             "counts": np.array([len(points) for points in self.points], dtype=np.int64),
-            "motions": np.array(self.motions).reshape(-1, 3),
-            "covariances": np.array(self.covariances).reshape(-1, 3, 3),
-            "way_m": np.array(self.way_m),
-            "place_ends": np.array((near, key), dtype=np.int64).T.reshape(-1, 2),
-            "place_poses": np.array(seen).reshape(-1, 3),
-            "place_informations": np.array(known).reshape(-1, 3, 3),
-            "place_doubts": np.array(doubt, dtype=np.float64),
+            "motions": self._motions.rows.copy(),
+            "covariances": self._covariances.rows.copy(),
+            "way_m": self.way_m.copy(),
+            "place_ends": places.ends.rows.copy(),
+            "place_poses": places.poses.rows.copy(),
+            "place_informations": places.informations.rows.copy(),
+            "place_doubts": places.doubts.rows.copy(),
             "drift": self._drift.copy(),
             "flags": np.array((self.linked, self.closures, self._settled, self._misses)),
             "tried_m": np.array(self._tried_m),
@@ -184,14 +213,13 @@ class Loops:
         self.path = state["path"].copy()
         ends = np.cumsum(state["counts"])[:-1]
         self.points = [part.copy() for part in np.split(state["points"], ends)] if len(self.path) else []
-        self.motions, self.covariances = list(state["motions"].copy()), list(state["covariances"].copy())
-        self.way_m = state["way_m"].tolist()
-        ends_of, poses = state["place_ends"].tolist(), state["place_poses"].copy()
-        known, doubts = state["place_informations"].copy(), state["place_doubts"].tolist()
-        self.places = [
-            (near, key, pose, information, doubt)
-            for (near, key), pose, information, doubt in zip(ends_of, poses, known, doubts, strict=True)
-        ]
+        self._motions.replace(state["motions"])
+        self._covariances.replace(state["covariances"])
+        self._way_m.replace(state["way_m"])
+        self.places.ends.replace(state["place_ends"])
+        self.places.poses.replace(state["place_poses"])
+        self.places.informations.replace(state["place_informations"])
+        self.places.doubts.replace(state["place_doubts"])
         self._drift = state["drift"].copy()
         linked, self.closures, self._settled, self._misses = state["flags"].tolist()
         self.linked = bool(linked)
@@ -237,7 +265,7 @@ class Loops:
         at, points = self.path[-1], self.points[-1]
         self._misses += 1
         if len(points) and (self._map.fits(points, at) >= 0.0).mean() > KNOWN_SHARE:
-            prior = self.covariances[-1] + np.diag((0.03**2, 0.03**2, 0.01**2))
+            prior = self._covariances.rows[-1] + np.diag((0.03**2, 0.03**2, 0.01**2))
             fit = self._map.refine(points, at, np.asarray(np.linalg.inv(_in_map(prior, at[2]))))
             fits = self._map.fits(points, fit.map_t_points)
             good = (fits > FITTING).sum() > 0.5 * max(int((fits >= 0.0).sum()), 1)
@@ -257,7 +285,7 @@ class Loops:
         near = int(off.argmin())
         known = _in_map(POINT_GAIN * information, -map_t_laser[2]) + 1e-3 * np.eye(3)
         measured = between(settled[near], map_t_laser)
-        self.places.append((near, len(self.path) - 1, measured, known, doubt))
+        self.places.add((near, len(self.path) - 1), measured, known, doubt)
         self._drift = np.asarray(np.linalg.inv(np.linalg.inv(self._drift + 1e-9 * np.eye(3)) + known))
         return True
 
@@ -267,7 +295,7 @@ class Loops:
         Along a corridor the edge of what is known ties a scan to wherever it happens to lie. That is so where
         neither the map nor the odometry sees; few points on a wall at right angles are rough but true.
         """
-        moved = _in_map(self.covariances[-1], yaw_rad)[:2, :2]
+        moved = _in_map(self._covariances.rows[-1], yaw_rad)[:2, :2]
         seen = np.eye(3)
         for direction in view(information).unseen:
             if direction @ moved @ direction > UNSEEN_M**2:
@@ -276,7 +304,7 @@ class Loops:
 
     def _due(self) -> bool:
         every = self.config.try_every_m * (0.5 if self._pending else 1.0)
-        return self.way_m[-1] - self._tried_m > every
+        return bool(self.way_m[-1] - self._tried_m > every)
 
     def _close(self) -> Pose | None:
         """Search the last metres in the settled map; where they are found, smooth the path."""
@@ -363,16 +391,13 @@ class Loops:
 
     def _relations(self) -> Relations:
         chain = np.arange(1, len(self.path))
-        informations = np.linalg.inv(np.array(self.covariances[1:]))
-        ends = np.column_stack((chain - 1, chain))
-        measured, bends = np.array(self.motions[1:]), np.zeros(len(chain))
-        if self.places:
-            near, key, seen, known, doubt = zip(*self.places, strict=True)
-            ends = np.vstack((ends, np.column_stack((near, key))))
-            measured = np.vstack((measured, seen))
-            informations = np.concatenate((informations, known))
-            bends = np.concatenate((bends, doubt))
-        return Relations(ends, measured, informations, bends)
+        places = self.places
+        return Relations(
+            np.concatenate((np.column_stack((chain - 1, chain)), places.ends.rows)),
+            np.concatenate((self._motions.rows[1:], places.poses.rows)),
+            np.concatenate((np.linalg.inv(self._covariances.rows[1:]), places.informations.rows)),
+            np.concatenate((np.zeros(len(chain)), places.doubts.rows)),
+        )
 
 
 def _thinned(points: Points, cell_m: float) -> Points:

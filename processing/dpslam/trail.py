@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing import se2
+from processing.growing import Growing
 from processing.se2 import Pose
 
 
@@ -13,42 +14,42 @@ class Trail:
     """Every scan's stamp and odometry, and which of them are key scans."""
 
     def __init__(self) -> None:
-        self._stamps_ns = np.zeros(1024, dtype=np.int64)
-        self._odom_t_laser = np.zeros((1024, 3))
-        self._keys = np.zeros(1024, dtype=np.int64)
+        self._stamps_ns, self._odom_t_laser = Growing(dtype=np.int64), Growing((3,))
+        self._keys = Growing(dtype=np.int64)
         self._breaks: list[int] = []
-        self.scans = 0
-        self.keys = 0
 
     def add(self, stamp_ns: int, odom_t_laser: Pose) -> None:
         """Append one scan."""
-        if self.scans == self._stamps_ns.shape[0]:
-            self._stamps_ns = np.concatenate((self._stamps_ns, np.zeros_like(self._stamps_ns)))
-            self._odom_t_laser = np.concatenate((self._odom_t_laser, np.zeros_like(self._odom_t_laser)))
-        self._stamps_ns[self.scans] = stamp_ns
-        self._odom_t_laser[self.scans] = odom_t_laser
-        self.scans += 1
+        self._stamps_ns.append(stamp_ns)
+        self._odom_t_laser.append(odom_t_laser)
 
     def mark_key(self) -> None:
         """Make the newest scan a key scan."""
-        if self.keys == self._keys.shape[0]:
-            self._keys = np.concatenate((self._keys, np.zeros_like(self._keys)))
-        self._keys[self.keys] = self.scans - 1
-        self.keys += 1
+        self._keys.append(self.scans - 1)
 
     def break_off(self) -> None:
         """Say that the odometry tells nothing of the way to the newest scan: the track was lost before it."""
         self._breaks.append(self.scans - 1)
 
     @property
+    def scans(self) -> int:
+        """Number of all scans."""
+        return len(self._stamps_ns)
+
+    @property
+    def keys(self) -> int:
+        """Number of the key scans."""
+        return len(self._keys)
+
+    @property
     def stamps_ns(self) -> NDArray[np.int64]:
         """(N,) stamps of all scans, in the order in which they came."""
-        return self._stamps_ns[: self.scans].copy()
+        return self._stamps_ns.rows.copy()
 
     @property
     def odom_t_laser(self) -> Pose:
         """(N, 3) of all scans by the odometry."""
-        return self._odom_t_laser[: self.scans].copy()
+        return self._odom_t_laser.rows.copy()
 
     def lay(self, map_t_keys: Pose) -> Pose:
         """Return map_t_laser (N, 3) of all scans.
@@ -59,10 +60,10 @@ class Trail:
         Args:
             map_t_keys: (K, 3) poses of the key scans.
         """
-        odom = self._odom_t_laser[: self.scans]
+        odom = self._odom_t_laser.rows
         if self.keys == 0:
             return odom.copy()
-        keys = self._keys[: self.keys]
+        keys = self._keys.rows
         scans = np.arange(self.scans)
         before = np.maximum(np.searchsorted(keys, scans, side="right") - 1, 0)
         after = np.minimum(before + 1, self.keys - 1)
@@ -86,17 +87,15 @@ class Trail:
     def state(self) -> dict[str, NDArray[Any]]:
         """Return what was added; `restore` takes it back."""
         return {
-            "stamps_ns": self._stamps_ns[: self.scans].copy(),
-            "odom_t_laser": self._odom_t_laser[: self.scans].copy(),
-            "keys": self._keys[: self.keys].copy(),
+            "stamps_ns": self.stamps_ns,
+            "odom_t_laser": self.odom_t_laser,
+            "keys": self._keys.rows.copy(),
             "breaks": np.array(self._breaks, dtype=np.int64),
         }
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Become the trail whose `state` was taken."""
-        self.scans, self.keys = state["stamps_ns"].shape[0], state["keys"].shape[0]
-        room = np.zeros(1, dtype=np.int64)
-        self._stamps_ns = np.concatenate((state["stamps_ns"], room))
-        self._odom_t_laser = np.concatenate((state["odom_t_laser"], np.zeros((1, 3))))
-        self._keys = np.concatenate((state["keys"], room))
+        self._stamps_ns.replace(state["stamps_ns"])
+        self._odom_t_laser.replace(state["odom_t_laser"])
+        self._keys.replace(state["keys"])
         self._breaks = state["breaks"].tolist()

@@ -24,7 +24,6 @@ from odometry_courses import Course, beams_of_laser, logged
 
 from drivers import world
 from drivers.world.drive import simulate_scans
-from processing.dpslam.config import DpSlamConfig
 from processing.evaluation import absolute_errors, relation_errors
 from processing.scan import Scan
 from processing.se2 import Pose, compose, invert
@@ -184,12 +183,15 @@ COURSES: dict[str, Callable[[int], Drive | None]] = {
 
 
 def _changed(settings: list[str]) -> SlamConfig:
-    mapping: dict = {}
+    config = SlamConfig()
     for setting in settings:
         name, _, value = setting.partition("=")
-        kind = type(getattr(DpSlamConfig(), name))
-        mapping[name] = kind(float(value)) if kind is not bool else value == "true"
-    return SlamConfig(mapping=replace(DpSlamConfig(), **mapping))
+        part = "mapping" if hasattr(config.mapping, name) else "odometry"
+        old = getattr(config, part)
+        kind = type(getattr(old, name))
+        new = kind(float(value)) if kind is not bool else value == "true"
+        config = replace(config, **{part: replace(old, **{name: new})})
+    return config
 
 
 def measure(name: str, seed: int, settings: list[str]) -> dict | None:
@@ -244,7 +246,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="of the mapper")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="of either part")
     args = parser.parse_args()
     names = args.courses or list(COURSES)
     jobs = list(_jobs(names, range(args.first, args.first + args.seeds)))
