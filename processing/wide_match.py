@@ -81,6 +81,7 @@ def search(
     least_score: float,
     apart_m: float = 0.6,
     apart_rad: float = 0.25,
+    least_rival: float | None = None,
 ) -> Search | None:
     """Find the place within the window around a guess where the points fit best, and its rival.
 
@@ -93,12 +94,13 @@ def search(
         least_score: Places below it are nobody's.
         apart_m: A rival lies at least so far from the best, or
         apart_rad: is turned by at least so much.
+        least_rival: What a rival must reach, if it is another score than the best place's.
 
     Returns:
         None when no place of the window reaches `least_score`.
     """
     places = search_all(
-        field, points, map_t_guess, reach_m, reach_rad, least_score, apart_m, apart_rad, most=2
+        field, points, map_t_guess, reach_m, reach_rad, least_score, apart_m, apart_rad, 2, 0.0, least_rival
     )
     if not places:
         return None
@@ -116,6 +118,7 @@ def search_all(
     apart_rad: float = 0.25,
     most: int = 8,
     least_share: float = 0.0,
+    least_rival: float | None = None,
     ground: NDArray[np.float64] | None = None,
 ) -> list[Place]:
     """Find the places of the window where the points fit, the best first.
@@ -131,6 +134,7 @@ def search_all(
         apart_rad: are turned by at least so much.
         most: So many places at most.
         least_share: Places whose score is a smaller share of the best one's do not count.
+        least_rival: What the others must reach, if it is another score than the best place's.
         ground: (M, 2) where the origin of the points may lie, m, map frame: squares of the coarsest step in
             which there is none of it are not searched; None: anywhere.
     """
@@ -145,7 +149,8 @@ def search_all(
     places: list[Place] = []
     while len(places) < most:
         shunned = np.array([place.map_t_points for place in places]).reshape(-1, 3)
-        least = max(least_score, least_share * places[0].score) if places else least_score
+        rival = least_score if least_rival is None else least_rival
+        least = max(rival, least_share * places[0].score) if places else least_score
         found = np.zeros(4)
         if not kernels.branch_and_bound(*fixed, *window, least, shunned, apart_m, apart_rad, nodes, found):
             break

@@ -6,6 +6,9 @@ Arrays and scalars in, results into given arrays; nothing is checked here: `wide
 import numpy as np
 from numba import njit
 
+SLACK = 1e-6
+"""Of sums of floats: nothing is given up that rounding alone puts below."""
+
 
 @njit("void(f8[:,::1], f8, f8, f8, f8, f4[:,::1])", cache=True, nogil=True)
 def blur(points, x0, y0, resolution, sigma, field):
@@ -51,18 +54,28 @@ def mean_at(field, cells, shift_col, shift_row):
     return total / cells.shape[0]
 
 
-@njit("f8(f4[:,:,::1], i8, i8[:,::1], i8, i8)", cache=True, nogil=True)
-def bound_at(levels, level, cells, shift_col, shift_row):
-    """Mean of window maxima; windows that begin outside the field but reach into it count by their border."""
+@njit("f8(f4[:,:,::1], i8, i8[:,::1], i8, i8, f8)", cache=True, nogil=True)
+def bound_at(levels, level, cells, shift_col, shift_row, least):
+    """Mean of window maxima; windows that begin outside the field but reach into it count by their border.
+
+    -1 as soon as it is sure not to be above `least`.
+    """
     field = levels[level]
     rows, cols = field.shape
     reach = (1 << level) - 1
-    total = 0.0
-    for i in range(cells.shape[0]):
+    count = cells.shape[0]
+    total, spare = 0.0, (1.0 - least) * count + SLACK
+    for i in range(count):
         col, row = cells[i, 0] + shift_col, cells[i, 1] + shift_row
         if -reach <= row < rows and -reach <= col < cols:
-            total += field[max(row, 0), max(col, 0)]
-    return total / cells.shape[0]
+            value = field[max(row, 0), max(col, 0)]
+            total += value
+            spare -= 1.0 - value
+        else:
+            spare -= 1.0
+        if spare < 0.0:
+            return -1.0
+    return total / count
 
 
 @njit("b1(f8, f8, f8, f8[:,::1], f8, f8)", cache=True, nogil=True)
@@ -133,7 +146,7 @@ def branch_and_bound(
             cells[i, 1] = int(np.floor((s * px + c * py + guess[1] - y0) / resolution))
         for node in range(across * across):
             col, row = -reach + side * (node % across), -reach + side * (node // across)
-            bounds[node] = bound_at(levels, top, cells, col, row) if open_nodes[node] else -1.0
+            bounds[node] = bound_at(levels, top, cells, col, row, best) if open_nodes[node] else -1.0
         while True:
             # The most promising first; few are looked at, so that they need not all be sorted.
             node = 0
@@ -149,7 +162,7 @@ def branch_and_bound(
             while depth > 0:
                 depth -= 1
                 col, row, level = stack[depth, 0], stack[depth, 1], stack[depth, 2]
-                score = bound_at(levels, level, cells, col, row)
+                score = bound_at(levels, level, cells, col, row, best)
                 if score <= best:
                     continue
                 if level == 0:

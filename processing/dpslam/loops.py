@@ -347,8 +347,8 @@ class Loops:
         if len(cloud) < 100 or len(query) < 50:
             return None
         field = build_field(_thinned(cloud, FIELD_CELL_M), FIELD_CELL_M, FIELD_SIGMA_M, 0.3)
-        result = search(field, query, at, reach_m, reach_rad, c.least_score - 0.1)
-        if result is None or result.best.score < c.least_score:
+        result = search(field, query, at, reach_m, reach_rad, c.least_score, least_rival=c.least_score - 0.1)
+        if result is None:
             return None
         rival = result.rival.score / result.best.score if result.rival else 0.0
         far = away_m > FAR_M

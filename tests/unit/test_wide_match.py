@@ -53,6 +53,23 @@ def test_a_corridor_has_a_rival_along_itself():
     assert found.rival.score > 0.97 * found.best.score
 
 
+def test_a_rival_may_be_asked_for_less_than_the_best():
+    half = (ROOM + UP)[: len(ROOM) // 2]
+    rooms = np.vstack((ROOM, half))
+    field = build_field(rooms, 0.05, 0.1, 0.5)
+    truth = np.array((3.0, 2.0, 0.7))
+    window = (seen_from(truth, ROOM, 200), truth, 13.0, 0.2)
+    strict = search(field, *window, 0.8)
+    both = search(field, *window, 0.8, least_rival=0.3)
+    assert strict is not None
+    assert both is not None
+    np.testing.assert_array_equal(strict.best.map_t_points, both.best.map_t_points)
+    assert strict.rival is None
+    assert both.rival is not None
+    assert 0.3 <= both.rival.score < 0.8
+    assert search(field, *window, 0.999, least_rival=0.3) is None
+
+
 def test_the_best_of_the_window_equals_the_best_of_every_cell():
     rng = np.random.default_rng(4)
     field = build_field(rng.uniform(0, 4, (60, 2)), 0.1, 0.15, 0.3)
