@@ -65,6 +65,7 @@ TWINS = {
         "": "unit/test_walls.py::test_the_compiled_filling_is_the_plain_one",
     },
     "facing_kernels": {
+        "across": "unit/test_local_map.py::test_the_compiled_normals_are_the_plain_ones",
         "face": "unit/test_local_map.py::test_the_compiled_normals_are_the_plain_ones",
         "look_behind": "unit/test_local_map.py::test_what_is_seen_from_behind_is_that_of_the_plain_twin",
     },
