@@ -18,12 +18,15 @@ from processing.se2 import transform
 from processing.walkers import Kind, Walkers
 
 Directions = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
-ROUGH = 0.5
-"""Who walks is left out where walls alone know a direction worse than this share of what is not seen."""
+SURE_SHARE = 0.5
+"""Without a few things a direction must be known to this share of what counts as not seen."""
 SURE_SCANS = 5
 """The velocity is the middle one of so many that were seen by what stands: the first ones after a while in
 which nothing was seen also take back what was wrong till then."""
+FEW = 2
+"""So many small things may walk together."""
 LEAST_POINTS = 10
 """Fewer points are no scan: nobody is left out then."""
 
@@ -36,8 +39,6 @@ class Sight:
     """Directions that it did not see."""
     leaning: Directions = field(default_factory=lambda: np.zeros((0, 2)))
     """Those that it saw by nothing but things that may walk, or not at all."""
-    rough: bool = False
-    """Whether walls alone leave some direction uncertain."""
 
 
 class Footing:
@@ -56,8 +57,9 @@ class Footing:
     def forget(self) -> None:
         """Begin anew: nothing has been seen."""
         self.sight = Sight()
-        self._kinds = np.zeros(0, np.int64)
+        self._kinds = self._numbers = np.zeros(0, np.int64)
         self._sure: deque[Twist] = deque(maxlen=SURE_SCANS)
+        self._fastest_m_s = 0.0
         if self._walkers is not None:
             self._walkers.forget()
 
@@ -73,6 +75,8 @@ class Footing:
     def believe(self, twist: Twist) -> None:
         """Take in a velocity (3,) that was seen by what stands."""
         self._sure.append(twist.copy())
+        middle = np.median(self._sure, axis=0)
+        self._fastest_m_s = max(self._fastest_m_s, float(np.hypot(middle[0], middle[1])))
 
     def leave_out(
         self, points: Points, spans_m: NDArray[np.float64], yaw_rad: float, twist: Twist, duration_s: float
@@ -87,19 +91,22 @@ class Footing:
             duration_s: Since the scan before.
         """
         self._kinds = np.full(len(points), Kind.WALL, np.int64)
+        self._numbers = np.full(len(points), -1, np.int64)
         if self._walkers is None:
             return points
         velocity = transform(np.array((0.0, 0.0, yaw_rad)), twist[None, :2])[0]
-        kinds = self._walkers.look(points, spans_m, yaw_rad, velocity, self.sight.leaning, duration_s)
+        kinds = self._walkers.look(
+            points, spans_m, yaw_rad, velocity, self._fastest_m_s, self.sight.leaning, duration_s
+        )
         out = np.zeros(len(points), np.bool_)
-        if self.sight.rough:
+        if len(self.sight.leaning):
             out |= kinds == Kind.WALKS
         if len(self.sight.unseen):
             # What comes into a view that says nothing is believed when it has been seen to stand.
             out |= kinds == Kind.NEW
         if np.count_nonzero(~out) < LEAST_POINTS:
             out[:] = False
-        self._kinds = kinds[~out]
+        self._kinds, self._numbers = kinds[~out], self._walkers.numbers[~out]
         return points[~out]
 
     def learn(self, points: Points, matching: Matching, reference: Ndt, limit_m: float) -> View:
@@ -111,17 +118,31 @@ class Footing:
             reference: this.
             limit_m: Standard deviation from which a direction counts as not seen.
         """
-
-        def unseen(some: NDArray[np.bool_], limit_m: float) -> Directions:
-            known = self._matcher.information(points[some], reference, matching.pose)
-            return view(known, limit_m).unseen
-
         seen = view(matching.information, limit_m)
-        walls = self._kinds == Kind.WALL
-        blind = len(seen.unseen) > 0
-        rough = blind if walls.all() else len(unseen(walls, ROUGH * limit_m)) > 0
         leaning = seen.unseen
-        if rough and not blind:
-            leaning = unseen(self._kinds <= Kind.STANDS, limit_m)
-        self.sight = Sight(seen.unseen, leaning, rough)
+        if len(leaning) == 0 and self._rests_on_few(points, matching, reference, SURE_SHARE * limit_m):
+            stands = self._matcher.information(points[self._kinds <= Kind.STANDS], reference, matching.pose)
+            leaning = view(stands, limit_m).unseen
+        self.sight = Sight(seen.unseen, leaning)
         return seen
+
+    def _rests_on_few(self, points: Points, matching: Matching, reference: Ndt, limit_m: float) -> bool:
+        """Whether some direction is not seen when the few small things that tell most of it are gone.
+
+        In clutter many things tell it, and they cannot all walk the same way.
+        """
+
+        def known(some: NDArray[np.bool_]) -> Matrix:
+            return self._matcher.information(points[some], reference, matching.pose)
+
+        walls = self._numbers < 0
+        if walls.all():
+            return False
+        information = known(walls)
+        unseen = view(information, limit_m).unseen
+        if len(unseen) == 0:
+            return False
+        parts = [known(self._numbers == number) for number in np.unique(self._numbers[~walls])]
+        parts.sort(key=lambda part: float(np.einsum("ki,ij,kj->", unseen, part[:2, :2], unseen)))
+        information += sum(parts[:-FEW])
+        return len(view(information, limit_m).unseen) > 0

@@ -30,8 +30,8 @@ SURE_M_S = 0.25
 """Two sigmas of a thing's speed, up to which it is known."""
 WALKS_M_S = 0.5
 """Speed from which a thing walks, where the laser's own is known."""
-FAST_M_S = 0.5
-"""A laser whose speed is not seen goes no faster than this, or than it went when it was seen,"""
+FAST_M_S, FASTER = 0.5, 1.25
+"""A laser whose speed is not seen goes no faster than this, or than so many times its fastest so far,"""
 ODD_M_S = 0.15
 """give or take so much; one that went ahead may have slowed down or stopped, but has not turned back."""
 
@@ -73,7 +73,22 @@ def things_of(points, spans_m, numbers):
                     waiting[stack] = b
                     stack += 1
         things += 1
-    return things
+    # A wall in pieces is no small thing.
+    box = np.empty((things, 4))
+    box[:, :2], box[:, 2:] = np.inf, -np.inf
+    for i in range(left):
+        x, y = points[small[i], 0], points[small[i], 1]
+        n = numbers[small[i]]
+        box[n, 0], box[n, 1] = min(box[n, 0], x), min(box[n, 1], y)
+        box[n, 2], box[n, 3] = max(box[n, 2], x), max(box[n, 3], y)
+    kept = 0
+    for n in range(things):
+        whole = np.hypot(box[n, 2] - box[n, 0], box[n, 3] - box[n, 1]) < SMALL_M
+        box[n, 0] = kept if whole else -1
+        kept += whole
+    for i in range(left):
+        numbers[small[i]] = int(box[numbers[small[i]], 0])
+    return kept
 
 
 @njit("f8(f8[::1], f8[::1])", cache=True, nogil=True)
@@ -135,8 +150,8 @@ def associate(at, things, same):
         same[new], taken[old] = old, True
 
 
-@njit("void(f8[::1], f8[::1], f8[:,::1], f8)", cache=True, nogil=True)
-def judge(thing, velocity, unseen, duration_s):
+@njit("void(f8[::1], f8[::1], f8, f8[:,::1], f8)", cache=True, nogil=True)
+def judge(thing, velocity, fastest_m_s, unseen, duration_s):
     """Tell whether a thing in sight walks, as far as it has been followed.
 
     As fast as a standing thing passes, the other way, goes the laser: along `unseen` (K, 2) anything that it
@@ -151,7 +166,7 @@ def judge(thing, velocity, unseen, duration_s):
     for k in range(unseen.shape[0]):
         dx, dy = unseen[k, 0], unseen[k, 1]
         usual = dx * velocity[0] + dy * velocity[1]
-        fast = max(abs(usual), FAST_M_S) + ODD_M_S
+        fast = max(FAST_M_S, FASTER * fastest_m_s) + ODD_M_S
         low = -fast if usual < ODD_M_S else -ODD_M_S
         high = fast if usual > -ODD_M_S else ODD_M_S
         along = dx * laser[0] + dy * laser[1]
@@ -170,11 +185,14 @@ def judge(thing, velocity, unseen, duration_s):
             thing[KIND] = STANDS
 
 
-@njit("f8[:,::1](f8[:,::1], f8[::1], f8, f8[::1], f8[:,::1], f8, f8[:,::1], i8[::1])", cache=True, nogil=True)
-def look(points, spans_m, yaw_rad, velocity, unseen, duration_s, things, kinds):
-    """Return the things after the next scan, and write of which kind each of its points (N, 2) is (N,)."""
+@njit(
+    "f8[:,::1](f8[:,::1], f8[::1], f8, f8[::1], f8, f8[:,::1], f8, f8[:,::1], i8[::1], i8[::1])",
+    cache=True,
+    nogil=True,
+)
+def look(points, spans_m, yaw_rad, velocity, fastest_m_s, unseen, duration_s, things, numbers, kinds):
+    """Return the things after the next scan; write of which each point (N, 2) is, and its kind, (N,) each."""
     move_on(things, velocity, duration_s)
-    numbers = np.empty(points.shape[0], np.int64)
     count = things_of(points, spans_m, numbers)
     at, members = np.zeros((count, 2)), np.zeros(count)
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
@@ -212,7 +230,7 @@ def look(points, spans_m, yaw_rad, velocity, unseen, duration_s, things, kinds):
         thing[SUMS + 3] += x
         thing[SUMS + 4] += y
         thing[SUMS + 7] += x * x + y * y
-        judge(thing, velocity, unseen, duration_s)
+        judge(thing, velocity, fastest_m_s, unseen, duration_s)
     kept = count
     for j in range(things.shape[0]):
         if hidden[j]:

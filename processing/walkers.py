@@ -37,6 +37,8 @@ class Walkers:
     def forget(self) -> None:
         """Begin anew: nothing has been seen."""
         self._things = np.zeros((0, WIDTH))
+        self.numbers = np.zeros(0, np.int64)
+        """(N,) which of the small things in sight each point of the last scan is of, -1 for walls."""
 
     def look(
         self,
@@ -44,6 +46,7 @@ class Walkers:
         spans_m: NDArray[np.float64],
         yaw_rad: float,
         velocity: NDArray[np.float64],
+        fastest_m_s: float,
         unseen: Directions,
         duration_s: float,
     ) -> NDArray[np.int64]:
@@ -54,10 +57,13 @@ class Walkers:
             spans_m: (N,) how far the surface reaches that each is of.
             yaw_rad: Of the laser.
             velocity: (2,) m/s that the laser is taken to have, odometry's axes.
+            fastest_m_s: Its greatest speed so far.
             unseen: (K, 2) unit vectors along which no wall says so, on these axes too.
             duration_s: Since the scan before, > 0.
         """
-        kinds = np.empty(len(points), np.int64)
-        unseen = np.ascontiguousarray(unseen)
-        self._things = look(points, spans_m, yaw_rad, velocity, unseen, duration_s, self._things, kinds)
+        self.numbers, kinds = np.empty((2, len(points)), np.int64)
+        unseen, things = np.ascontiguousarray(unseen), self._things
+        self._things = look(
+            points, spans_m, yaw_rad, velocity, fastest_m_s, unseen, duration_s, things, self.numbers, kinds
+        )
         return kinds

@@ -27,7 +27,7 @@ def pass_by(ways, *, unseen=ALONG, velocity=DRIVES, yaw_rad=0.0, seed=0):
         points = at + np.array(((0.0, -0.05), (0.0, 0.0), (0.0, 0.05))) + rng.normal(0.0, NOISE_M, (3, 2))
         points = points[np.isfinite(at).all()].reshape(-1, 2)
         seen = walkers.look(
-            points, np.full(len(points), 0.1), yaw_rad, turn @ velocity, unseen @ turn.T, PERIOD_S
+            points, np.full(len(points), 0.1), yaw_rad, turn @ velocity, 0.4, unseen @ turn.T, PERIOD_S
         )
         kinds.append(Kind(seen[0]) if len(seen) else None)
         assert (seen == seen[:1]).all()
@@ -107,7 +107,7 @@ def test_two_who_meet_keep_who_they_are():
     pillar, walker = way(30, 0.0, start=(2.5, 0.5)), way(30, -1.0, start=(5.0, -0.4))
     for k in range(30):
         points = np.array((pillar[k], walker[k]))
-        kinds = walkers.look(points, np.full(2, 0.1), 0.0, DRIVES, ALONG, PERIOD_S)
+        kinds = walkers.look(points, np.full(2, 0.1), 0.0, DRIVES, 0.4, ALONG, PERIOD_S)
         if k > 10:
             assert kinds.tolist() == [Kind.STANDS, Kind.WALKS]
 
@@ -116,14 +116,17 @@ def test_a_leg_that_comes_out_from_behind_the_other_walks_as_it_does():
     walkers = Walkers()
     leg = way(25, -0.9, start=(5.0, 0.5))
     for k in range(24):
-        walkers.look(leg[k : k + 1], np.full(1, 0.1), 0.0, DRIVES, ALONG, PERIOD_S)
+        walkers.look(leg[k : k + 1], np.full(1, 0.1), 0.0, DRIVES, 0.4, ALONG, PERIOD_S)
     # Its surface ends too far from the other's to be one thing with it.
     two = np.vstack((leg[24], leg[24] + (APART_M + 0.02, 0.0)))
     apart = two + np.array(((0.05, 0.0), (0.0, 0.0)))
-    assert walkers.look(two, np.full(2, 0.1), 0.0, DRIVES, ALONG, PERIOD_S).tolist() == [Kind.WALKS, Kind.NEW]
-    walkers.look(leg[24:], np.full(1, 0.1), 0.0, DRIVES, ALONG, PERIOD_S)
+    assert walkers.look(two, np.full(2, 0.1), 0.0, DRIVES, 0.4, ALONG, PERIOD_S).tolist() == [
+        Kind.WALKS,
+        Kind.NEW,
+    ]
+    walkers.look(leg[24:], np.full(1, 0.1), 0.0, DRIVES, 0.4, ALONG, PERIOD_S)
     near = np.vstack((apart[0], apart[0] + (0.45, 0.0), apart[0] + (0.3, 0.6)))
-    kinds = walkers.look(near, np.full(3, 0.1), 0.0, DRIVES, ALONG, PERIOD_S)
+    kinds = walkers.look(near, np.full(3, 0.1), 0.0, DRIVES, 0.4, ALONG, PERIOD_S)
     assert kinds.tolist() == [Kind.WALKS, Kind.WALKS, Kind.NEW]
 
 
@@ -143,7 +146,7 @@ def test_walls_are_walls_and_legs_are_one_thing():
     points, numbers = np.vstack((legs, chair, wall, far)), np.empty(10, np.int64)
     assert w.things_of(points, spans, numbers) == 2
     assert numbers.tolist() == [0, 0, 0, 1, *[-1] * 6]
-    kinds = Walkers().look(wall, np.full(5, 2.0), 0.0, DRIVES, SEEN, PERIOD_S)
+    kinds = Walkers().look(wall, np.full(5, 2.0), 0.0, DRIVES, 0.4, SEEN, PERIOD_S)
     assert kinds.tolist() == [Kind.WALL] * 5
 
 
@@ -161,7 +164,9 @@ def plainly_things_of(points, spans_m):
             numbers[a] = count
             reached += [b for b in small if numbers[b] < 0 and np.hypot(*(points[b] - points[a])) < APART_M]
         count += 1
-    return numbers
+    groups = [[points[k] for k in small if numbers[k] == n] for n in range(count)]
+    kept = [n for n in range(count) if np.hypot(*np.ptp(groups[n], axis=0)) < SMALL_M]
+    return [kept.index(n) if n in kept else -1 for n in numbers]
 
 
 class PlainWalkers:
@@ -170,7 +175,7 @@ class PlainWalkers:
     def __init__(self):
         self.things = []
 
-    def look(self, points, spans_m, yaw_rad, velocity, unseen, duration_s):
+    def look(self, points, spans_m, yaw_rad, velocity, fastest_m_s, unseen, duration_s):
         for thing in self.things:
             thing["at"] = thing["at"] + duration_s * (
                 plain_speed(thing)[0] if thing["kind"] == Kind.WALKS else -velocity
@@ -193,7 +198,7 @@ class PlainWalkers:
             thing = dict(old[same[n]]) if n in same else new
             thing |= {"at": at, "hidden": 0.0, "times": [*thing["times"], 0.0]}
             thing["places"] = [*thing["places"], at]
-            plainly_judge(thing, velocity, unseen, duration_s)
+            plainly_judge(thing, velocity, fastest_m_s, unseen, duration_s)
             self.things.append(thing)
         kinds = np.array([Kind.WALL if n < 0 else self.things[n]["kind"] for n in numbers], np.int64)
         self.things += [
@@ -233,7 +238,7 @@ def plain_speed(thing):
     return speed, np.sqrt(weights @ (rest**2).sum(axis=1) / (spread * np.exp(times / w.MEMORY_S).sum()))
 
 
-def plainly_judge(thing, velocity, unseen, duration_s):
+def plainly_judge(thing, velocity, fastest_m_s, unseen, duration_s):
     speed, sigma = plain_speed(thing)
     laser, slack = -speed, 2.0 * sigma
     if thing["age"] < WATCH_S - 1e-6 or slack > w.SURE_M_S:
@@ -242,7 +247,7 @@ def plainly_judge(thing, velocity, unseen, duration_s):
     rest = np.eye(2)
     for direction in unseen:
         usual, along = direction @ velocity, direction @ laser
-        fast = max(abs(usual), w.FAST_M_S) + w.ODD_M_S
+        fast = max(w.FAST_M_S, w.FASTER * fastest_m_s) + w.ODD_M_S
         out += [(-fast if usual < w.ODD_M_S else -w.ODD_M_S) - along]
         out += [along - (fast if usual > -w.ODD_M_S else w.ODD_M_S)]
         rest = rest - np.outer(direction, direction)
@@ -268,7 +273,7 @@ def test_the_compiled_look_is_the_plain_one(seed, unseen):
         relative = places + PERIOD_S * k * (speeds - DRIVES) + rng.normal(0.0, 0.02, (8, 2))
         points = np.ascontiguousarray((relative @ np.array(((c, -s), (s, c))))[rng.random(8) < 0.9])
         spans = np.full(len(points), 0.2)
-        arguments = (points, spans, yaw_rad, DRIVES, unseen, PERIOD_S)
+        arguments = (points, spans, yaw_rad, DRIVES, 0.4, unseen, PERIOD_S)
         kinds = compiled.look(*arguments)
         np.testing.assert_array_equal(kinds, plain.look(*arguments))
         met |= set(kinds.tolist())
@@ -294,7 +299,8 @@ def test_things_are_what_hangs_together(points, data):
 def test_whatever_is_seen_every_point_has_a_kind_and_nothing_breaks(scans, yaw_rad, unseen):
     walkers = Walkers()
     for points in scans:
-        kinds = walkers.look(points, np.full(len(points), 0.1), yaw_rad, DRIVES, np.eye(2)[:unseen], PERIOD_S)
+        spans = np.full(len(points), 0.1)
+        kinds = walkers.look(points, spans, yaw_rad, DRIVES, 0.4, np.eye(2)[:unseen], PERIOD_S)
         assert kinds.shape == (len(points),)
         assert set(kinds.tolist()) <= set(Kind)
-        assert ((kinds == Kind.WALL) == (np.hypot(*points.T) >= FAR_M)).all()
+        assert ((kinds == Kind.WALL) == (np.array(plainly_things_of(points, spans)) < 0)).all()
