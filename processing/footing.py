@@ -27,6 +27,8 @@ SURE_SCANS = 5
 which nothing was seen also take back what was wrong till then."""
 FEW = 2
 """So many small things may walk together."""
+WALKING_M_S = 1.0
+"""A laser that has been as fast as people walk cannot tell them by their speed."""
 LEAST_POINTS = 10
 """Fewer points are no scan: nobody is left out then."""
 
@@ -92,7 +94,7 @@ class Footing:
         """
         self._kinds = np.full(len(points), Kind.WALL, np.int64)
         self._numbers = np.full(len(points), -1, np.int64)
-        if self._walkers is None:
+        if self._walkers is None or self._fastest_m_s > WALKING_M_S:
             return points
         velocity = transform(np.array((0.0, 0.0, yaw_rad)), twist[None, :2])[0]
         kinds = self._walkers.look(
