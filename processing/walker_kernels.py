@@ -163,10 +163,10 @@ def judge(thing, velocity, fastest_m_s, unseen, duration_s):
     # Out by how much, in the direction where it is out by most: what is neither clearly is not known.
     out = 0.0
     off_x, off_y = laser[0] - velocity[0], laser[1] - velocity[1]
+    fast = max(FAST_M_S, FASTER * fastest_m_s) + ODD_M_S
     for k in range(unseen.shape[0]):
         dx, dy = unseen[k, 0], unseen[k, 1]
         usual = dx * velocity[0] + dy * velocity[1]
-        fast = max(FAST_M_S, FASTER * fastest_m_s) + ODD_M_S
         low = -fast if usual < ODD_M_S else -ODD_M_S
         high = fast if usual > -ODD_M_S else ODD_M_S
         along = dx * laser[0] + dy * laser[1]

@@ -4,6 +4,7 @@
 of the maps, and what a filter with a whole map for each particle would take.
 """
 
+import argparse
 import json
 import sys
 import time
@@ -20,26 +21,15 @@ from processing.dpslam.filter import DpSlam
 from processing.dpslam.grid import TILE
 from processing.motion import Motion
 from processing.odometry import LaserOdometry, OdometryConfig
-from processing.scan import Beams, Scan
+from processing.scan import Scan
+from tests.lasers import beams_of_laser
 
 NAIVE_CELL_BYTES = 8
 
 
-def beams_of(laser):
-    return Beams(
-        count=laser.beams,
-        angle_min_rad=laser.angle_min_rad,
-        angle_increment_rad=laser.angle_increment_rad,
-        time_increment_s=laser.time_increment_s,
-        period_s=laser.period_s,
-        range_min_m=laser.range_min_m,
-        range_max_m=laser.range_max_m,
-    )
-
-
 def scans_of(building, laser, **drive):
     """Scans of a drive with the motions of the laser odometry."""
-    odometry, beams = LaserOdometry(OdometryConfig(), 0), beams_of(laser)
+    odometry, beams = LaserOdometry(OdometryConfig(), 0), beams_of_laser(laser)
     for stamp_ns, ranges_m, _ in simulate_scans(building, laser=laser, **drive):
         scan = Scan(stamp_ns, ranges_m.copy(), beams)
         yield scan, odometry.step(scan).motion
@@ -47,7 +37,7 @@ def scans_of(building, laser, **drive):
 
 def true_scans_of(building, laser, **drive):
     """Scans of a drive with nearly true motions: where the odometry is not what is measured."""
-    beams, start, before = beams_of(laser), None, None
+    beams, start, before = beams_of_laser(laser), None, None
     covariance = np.diag((0.01**2, 0.01**2, 0.003**2))
     for stamp_ns, ranges_m, pose in simulate_scans(building, laser=laser, **drive):
         start = pose if start is None else start
@@ -146,8 +136,12 @@ def hour():
 
 
 if __name__ == "__main__":
-    wanted = sys.argv[1:] or ["particles", "beams", "area", "hour"]
     tables = {"particles": particles, "beams": beams, "area": area, "hour": hour}
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("tables", nargs="*", help=f"default all: {', '.join(tables)}")
+    wanted = parser.parse_args().tables or list(tables)
+    if unknown := [name for name in wanted if name not in tables]:
+        parser.error(f"no table {unknown[0]!r}; there are {', '.join(tables)}")
     for name in wanted:
         print(f"-- {tables[name].__doc__}")
         print(json.dumps({"bench": f"dpslam_scale {name}", "rows": tables[name]()}))

@@ -32,10 +32,11 @@ from processing.dpslam.redrawing import rebuild
 from processing.dpslam.relocation import walls_of
 from processing.dpslam.resume import Returning
 from processing.odometry import LaserOdometry, OdometryConfig
-from processing.scan import Beams, Scan, end_points
+from processing.scan import Scan, end_points
 from processing.slam import Slam
 from processing.wide_match import build_field
 from runtime.nodes.log_scans import scans_of
+from tests.lasers import beams_of_laser
 
 HEAD = """\
 | course | starts | found | median s (m) | worst s (m) | error, m (worst) | wrong | left | equal | look, ms |
@@ -79,15 +80,7 @@ def main() -> None:
 def demo(seed: int) -> Course:
     """Map the demo building once; drive it again with other noise."""
     laser = Urg04lx()
-    beams = Beams(
-        count=laser.beams,
-        angle_min_rad=laser.angle_min_rad,
-        angle_increment_rad=laser.angle_increment_rad,
-        time_increment_s=laser.time_increment_s,
-        period_s=laser.period_s,
-        range_min_m=laser.range_min_m,
-        range_max_m=laser.range_max_m,
-    )
+    beams = beams_of_laser(laser)
 
     def drive(noise: int) -> Iterator[tuple[Scan, NDArray[np.float64]]]:
         for stamp_ns, ranges_m, pose in simulate_scans(demo_building(), laser=laser, seed=noise):

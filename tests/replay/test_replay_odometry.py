@@ -5,8 +5,9 @@ import pytest
 
 from drivers.world import Urg04lx, demo_building, simulate_scans
 from processing.odometry import LaserOdometry, OdometryConfig, Tracking
-from processing.scan import Beams, Scan
+from processing.scan import Scan
 from processing.se2 import between
+from tests.lasers import beams_of_laser
 
 SCANS = 420
 """From the corridor into the office, a turn on the spot there, and back."""
@@ -21,15 +22,7 @@ END_M, END_DEG = 0.02, 0.3
 @pytest.fixture(scope="module")
 def course():
     laser = Urg04lx()
-    beams = Beams(
-        count=laser.beams,
-        angle_min_rad=laser.angle_min_rad,
-        angle_increment_rad=laser.angle_increment_rad,
-        time_increment_s=laser.time_increment_s,
-        period_s=laser.period_s,
-        range_min_m=laser.range_min_m,
-        range_max_m=laser.range_max_m,
-    )
+    beams = beams_of_laser(laser)
     records = list(simulate_scans(demo_building(), laser=laser, speed_mps=0.4, max_scans=SCANS, seed=11))
     truth = np.array([pose for *_, pose in records])
     return [Scan(stamp_ns, ranges_m, beams) for stamp_ns, ranges_m, _ in records], between(truth[0], truth)

@@ -11,7 +11,8 @@ from processing import se2
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.filter import DpSlam
 from processing.motion import Motion
-from processing.scan import Beams, Scan
+from processing.scan import Scan
+from tests.lasers import beams_of_laser
 
 _spec = importlib.util.spec_from_file_location("naive_dpslam", Path(__file__).with_name("naive_dpslam.py"))
 naive = importlib.util.module_from_spec(_spec)
@@ -23,15 +24,7 @@ COVARIANCE = np.diag((0.03**2, 0.03**2, 0.01**2))
 def drive(scans, seed):
     """Scans of a small laser in a furnished room, with motions that err by a few centimetres a step."""
     laser = Sick(beams=24, angle_increment_rad=np.pi / 24, range_max_m=8.0)
-    beams = Beams(
-        count=24,
-        angle_min_rad=laser.angle_min_rad,
-        angle_increment_rad=laser.angle_increment_rad,
-        time_increment_s=laser.time_increment_s,
-        period_s=laser.period_s,
-        range_min_m=laser.range_min_m,
-        range_max_m=laser.range_max_m,
-    )
+    beams = beams_of_laser(laser)
     rng = np.random.default_rng(seed)
     odom, before = np.zeros(3), None
     course = simulate_scans(room(), laser=laser, speed_mps=0.8, max_scans=scans, rest_s=0.0, seed=seed)

@@ -9,21 +9,14 @@ from drivers.world import Building, Urg04lx, corridor, demo_building, outline, r
 from processing import se2
 from processing.dpslam.config import DpSlamConfig
 from processing.odometry import LaserOdometry, OdometryConfig, Tracking
-from processing.scan import Beams, Scan
+from processing.scan import Scan
 from processing.slam import Slam, SlamConfig
 from runtime.nodes.convert import motion_from_message, motion_to_message
+from tests.lasers import beams_of_laser
 from tests.people import Peopled, Person
 
 LASER = Urg04lx()
-BEAMS = Beams(
-    count=LASER.beams,
-    angle_min_rad=LASER.angle_min_rad,
-    angle_increment_rad=LASER.angle_increment_rad,
-    time_increment_s=LASER.time_increment_s,
-    period_s=LASER.period_s,
-    range_min_m=LASER.range_min_m,
-    range_max_m=LASER.range_max_m,
-)
+BEAMS = beams_of_laser(LASER)
 NOTHING = np.full(LASER.beams, np.nan, np.float32)
 HAND = np.full(LASER.beams, 0.06, np.float32)
 HALF_A_SECOND = 5
