@@ -15,7 +15,7 @@ def commands():
 
 
 def test_ci_runs_the_test_command_of_the_readme_word_for_word():
-    tests = [line for line in commands() if line.rstrip().endswith("pytest")]
+    tests = [line for line in commands() if line.rstrip().endswith("pytest -n 2")]
     assert len(tests) == 1
     assert f'"{tests[0]}"' in CI.read_text()
 

@@ -1,0 +1,50 @@
+"""Two workers side by side (`pytest -n 2`): whole robots one by one, all other tests a file at a time."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from runtime.cli.compiling import compile_all
+
+ROBOTS = {
+    f"test_{name}.py"
+    for name in (
+        "demo",
+        "docs",
+        "pages_walked",
+        "paper_command",
+        "remote",
+        "replay_map",
+        "replay_zenoh",
+        "resume",
+        "sessions",
+        "simulator",
+        "supervisor",
+        "up",
+        "view_command",
+        "viewer",
+    )
+}
+"""Files whose tests start many processes: two such at a time would be more than two cores carry."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """Keep the groups of `pytest_collection_modifyitems` together, in their order."""
+    if getattr(config.option, "numprocesses", None):
+        config.option.dist, config.option.loadscopereorder = "loadgroup", False
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the inner loops once, before two workers would both do it."""
+    if not hasattr(config, "workerinput") and getattr(config.option, "numprocesses", None):
+        compile_all(os.environ, print)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the robots first and together, every other file by itself."""
+    items.sort(key=lambda item: item.path.name not in ROBOTS)
+    for item in items:
+        name = Path(item.path).name
+        item.add_marker(pytest.mark.xdist_group("robots" if name in ROBOTS else name))
