@@ -5,6 +5,7 @@ window, not of a basin. Bounds are exact, so nothing in the window is overlooked
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,29 +100,17 @@ def search(
     Returns:
         None when no place of the window reaches `least_score`.
     """
-    places = search_all(
+    window = Window(
         field, points, map_t_guess, reach_m, reach_rad, least_score, apart_m, apart_rad, 2, 0.0, least_rival
     )
-    if not places:
-        return None
-    return Search(places[0], places[1] if len(places) == 2 else None)
+    window.go_on()
+    return window.best_and_rival()
 
 
-def search_all(
-    field: Field,
-    points: NDArray[np.float64],
-    map_t_guess: Pose,
-    reach_m: float,
-    reach_rad: float,
-    least_score: float,
-    apart_m: float = 0.6,
-    apart_rad: float = 0.25,
-    most: int = 8,
-    least_share: float = 0.0,
-    least_rival: float | None = None,
-    ground: NDArray[np.float64] | None = None,
-) -> list[Place]:
-    """Find the places of the window where the points fit, the best first.
+class Window:
+    """The search for the places of a window where the points fit; it may be left off and gone on with.
+
+    However often it is left off, it finds the same places.
 
     Args:
         field: Of the map.
@@ -138,24 +127,88 @@ def search_all(
         ground: (M, 2) where the origin of the points may lie, m, map frame: squares of the coarsest step in
             which there is none of it are not searched; None: anywhere.
     """
-    cloud = np.ascontiguousarray(points, dtype=np.float64)
-    farthest = float(np.sqrt((cloud**2).sum(axis=1).max()))
-    turn = field.resolution_m / max(farthest, 1.0)
-    steps = int(np.ceil(reach_rad / turn))
-    cells = int(np.ceil(reach_m / field.resolution_m))
-    fixed = (field.levels, field.origin_m[0], field.origin_m[1], field.resolution_m, cloud)
-    window = (np.asarray(map_t_guess, dtype=np.float64), turn, steps, cells)
-    nodes = _open_nodes(field, map_t_guess, cells, ground)
-    places: list[Place] = []
-    while len(places) < most:
-        shunned = np.array([place.map_t_points for place in places]).reshape(-1, 3)
-        rival = least_score if least_rival is None else least_rival
-        least = max(rival, least_share * places[0].score) if places else least_score
-        found = np.zeros(4)
-        if not kernels.branch_and_bound(*fixed, *window, least, shunned, apart_m, apart_rad, nodes, found):
-            break
-        places.append(Place(found[:3].copy(), float(found[3])))
-    return places
+
+    def __init__(
+        self,
+        field: Field,
+        points: NDArray[np.float64],
+        map_t_guess: Pose,
+        reach_m: float,
+        reach_rad: float,
+        least_score: float,
+        apart_m: float = 0.6,
+        apart_rad: float = 0.25,
+        most: int = 8,
+        least_share: float = 0.0,
+        least_rival: float | None = None,
+        ground: NDArray[np.float64] | None = None,
+    ) -> None:
+        cloud = np.ascontiguousarray(points, dtype=np.float64)
+        farthest = float(np.sqrt((cloud**2).sum(axis=1).max()))
+        turn = field.resolution_m / max(farthest, 1.0)
+        steps = int(np.ceil(reach_rad / turn))
+        cells = int(np.ceil(reach_m / field.resolution_m))
+        guess = np.array(map_t_guess, dtype=np.float64)
+        self.places: list[Place] = []
+        """What was found so far, the best first."""
+        self._map = (field.levels, field.origin_m[0], field.origin_m[1], field.resolution_m)
+        self._window = (cloud, guess, turn, steps, cells)
+        self._apart = (apart_m, apart_rad, _open_nodes(field, guess, cells, ground))
+        self._most, self._least_share = most, least_share
+        self._least_score = least_score
+        self._least_rival = least_score if least_rival is None else least_rival
+        self._turn, self._best = 0, np.zeros(4)
+
+    def go_on(self, squares: int = 2**62) -> bool:
+        """Look at about so many squares more and return whether the search is at its end.
+
+        Args:
+            squares: Of 2^level cells; to look at one is to add up the field under all points, or as many as
+                it takes to know that it will not do.
+        """
+        progress = np.array((self._turn, squares))
+        while len(self.places) < self._most:
+            shunned = np.array([place.map_t_points for place in self.places]).reshape(-1, 3)
+            least = self._least()
+            if self._turn == 0:
+                self._best = np.array((0.0, 0.0, 0.0, least))
+            ended = kernels.branch_and_bound(
+                *self._map, *self._window, shunned, *self._apart, self._best, progress
+            )
+            self._turn = int(progress[0])
+            if not ended:
+                return False
+            if self._best[3] <= least:
+                break
+            self.places.append(Place(self._best[:3].copy(), float(self._best[3])))
+            self._turn = progress[0] = 0
+        return True
+
+    def best_and_rival(self) -> Search | None:
+        """Return the best place and the one after it; None if there is none."""
+        if not self.places:
+            return None
+        return Search(self.places[0], self.places[1] if len(self.places) > 1 else None)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return how far the search is; a new one of the same window goes on from there by `restore`."""
+        places = [(*place.map_t_points, place.score) for place in self.places]
+        return {
+            "turn": np.array(self._turn),
+            "best": self._best.copy(),
+            "places": np.array(places).reshape(-1, 4),
+        }
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Be as far as the search whose `state` was taken."""
+        self._turn, self._best = int(state["turn"]), state["best"].copy()
+        self.places = [Place(row[:3].copy(), float(row[3])) for row in state["places"]]
+
+    def _least(self) -> float:
+        """Return what the next place must pass."""
+        if not self.places:
+            return self._least_score
+        return max(self._least_rival, self._least_share * self.places[0].score)
 
 
 def _open_nodes(

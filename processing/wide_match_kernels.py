@@ -102,7 +102,8 @@ def top_of(levels, reach):
 
 
 @njit(
-    "b1(f4[:,:,::1], f8, f8, f8, f8[:,::1], f8[::1], f8, i8, i8, f8, f8[:,::1], f8, f8, u1[::1], f8[::1])",
+    "b1(f4[:,:,::1], f8, f8, f8, f8[:,::1], f8[::1], f8, i8, i8,"
+    " f8[:,::1], f8, f8, u1[::1], f8[::1], i8[::1])",
     cache=True,
     nogil=True,
 )
@@ -116,18 +117,22 @@ def branch_and_bound(
     turn,
     turns,
     reach,
-    least,
     shunned,
     apart_m,
     apart_rad,
     open_nodes,
     found,
+    progress,
 ):
-    """Write the best (x, y, yaw, score) of the window into `found`; False when nothing passes `least`.
+    """Go on with a search and return whether it is at its end.
 
     Rotations are walked from the guess outwards; for each, the translations are a tree of squares whose
     bound is the pyramid. Places that neighbour one of `shunned` (M, 3) are passed over, and
     squares of the coarsest step that are not open, see `top_of`.
+
+    `found` (x, y, yaw, score) begins with the score that must be passed and ends with the best of the window.
+    `progress`: the rotation to go on with, the squares that may still be looked at, counted down; the search
+    stops at the end of the rotation in which they are used up.
     """
     count = points.shape[0]
     top = top_of(levels.shape[0], reach)
@@ -136,8 +141,10 @@ def branch_and_bound(
     side = 1 << top
     across = (2 * reach + side) // side
     bounds = np.empty(across * across)
-    best, any_found = least, False
-    for k in range(2 * turns + 1):
+    best = found[3]
+    while progress[0] < 2 * turns + 1 and progress[1] > 0:
+        k = progress[0]
+        progress[0] += 1
         yaw = guess[2] + turn * ((k + 1) // 2) * (1.0 if k % 2 else -1.0)
         c, s = np.cos(yaw), np.sin(yaw)
         for i in range(count):
@@ -147,6 +154,7 @@ def branch_and_bound(
         for node in range(across * across):
             col, row = -reach + side * (node % across), -reach + side * (node // across)
             bounds[node] = bound_at(levels, top, cells, col, row, best) if open_nodes[node] else -1.0
+        progress[1] -= across * across
         while True:
             # The most promising first; few are looked at, so that they need not all be sorted.
             node = 0
@@ -163,13 +171,14 @@ def branch_and_bound(
                 depth -= 1
                 col, row, level = stack[depth, 0], stack[depth, 1], stack[depth, 2]
                 score = bound_at(levels, level, cells, col, row, best)
+                progress[1] -= 1
                 if score <= best:
                     continue
                 if level == 0:
                     x, y = guess[0] + col * resolution, guess[1] + row * resolution
                     inside = abs(col) <= reach and abs(row) <= reach
                     if inside and not neighbours(x, y, yaw, shunned, apart_m, apart_rad):
-                        best, any_found = score, True
+                        best = score
                         found[0], found[1], found[2], found[3] = x, y, yaw, score
                     continue
                 half = 1 << (level - 1)
@@ -178,4 +187,4 @@ def branch_and_bound(
                     stack[depth, 1] = row + half * (child // 2)
                     stack[depth, 2] = level - 1
                     depth += 1
-    return any_found
+    return progress[0] == 2 * turns + 1

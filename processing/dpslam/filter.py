@@ -109,6 +109,8 @@ class DpSlam:
         if self._search is not None:
             return self._look(self._search, self._sweeper.take(scan, motion), key_t_laser)
         if self.population.keys and not self._is_key(key_t_laser):
+            if self.loops is not None:
+                self.loops.look_on()
             return self._answer(key_t_laser)
         sweep = self._sweeper.take(scan, motion)
         resampled = False
@@ -167,7 +169,10 @@ class DpSlam:
 
     def finish(self) -> None:
         """Lay the path as all its relations want it, at the end of a run, before its results are read."""
-        if self.loops is not None and self.loops.places:
+        if self.loops is None:
+            return
+        self.loops.conclude()
+        if self.loops.places:
             self.relive(self.loops.smoothed())
 
     def state(self) -> dict[str, NDArray[Any]]:

@@ -165,7 +165,7 @@ class Finder:
             return NOWHERE
         self.looks += 1
         window = (self._middle, self._reach_m, np.pi)
-        places = wide_match.search_all(
+        search = wide_match.Window(
             self._field,
             query,
             *window,
@@ -176,9 +176,10 @@ class Finder:
             least_share=LEAST_SHARE,
             ground=self._ground,
         )
+        search.go_on()
         chosen = np.unique(np.linspace(0, len(glimpses) - 1, JUDGES).round().astype(np.int64)).tolist()
         judged = []
-        for place in places:
+        for place in search.places:
             pose = polished(self._store, self._particle, place.map_t_points, query)
             fit, known = self._judge(pose, [(here[k], glimpses[k].rays) for k in chosen])
             judged.append((fit, known, place.score, pose))

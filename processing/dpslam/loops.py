@@ -3,7 +3,7 @@
 The paths of a particle filter do not reach round a large loop: after a few hundred key scans all particles
 share one past. So the past itself is moved, as in resample-move particle filters (Gilks and Berzuini 2001):
 while the laser is on new ground, the drift since it last was on old ground bounds a window; the last metres
-of points are searched in that window of the settled map, wholly (`wide_match`); where they fit once and only
+of points are searched in that window of the settled map, wholly (`closing`); where they fit once and only
 once, the path is smoothed under all its relations (`smoothing`), and the maps are drawn anew along it.
 
 Relations are of two kinds: the motions of the scan matcher between key scans, never doubted; and places where
@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.dpslam.closing import FIELD_CELL_M, Closing, Question
+from processing.dpslam.places import Places
 from processing.dpslam.proposal import WIDE_M
 from processing.dpslam.settled import SettledMap
 from processing.growing import Growing
@@ -24,7 +26,6 @@ from processing.ndt import Points
 from processing.observability import view
 from processing.se2 import Pose, between, compose, transform, wrap
 from processing.smoothing import Relations, smooth
-from processing.wide_match import build_field, search
 
 Matrix = NDArray[np.float64]
 
@@ -69,7 +70,6 @@ class LoopConfig:
                 raise ValueError(f"{name} = {getattr(self, name)}, must be in (0, 1]")
 
 
-FIELD_CELL_M, FIELD_SIGMA_M = 0.05, 0.08
 KNOWN_SHARE = 0.4
 """Share of a scan that lies where the settled map knows something, for the scan to be tried on it."""
 FITTING = 0.3
@@ -95,30 +95,6 @@ PAST = 20
 """Settled key scans without which there is nothing to come back to."""
 
 
-class Places:
-    """Where key scans lay on the settled map."""
-
-    def __init__(self) -> None:
-        self.ends = Growing((2,), np.int64)
-        """(N, 2) numbers of the settled key scan and of the one that was seen from it,"""
-        self.poses = Growing((3,))
-        """(N, 3) where,"""
-        self.informations = Growing((3, 3))
-        """(N, 3, 3) how well that is known,"""
-        self.doubts = Growing()
-        """(N,) and the chi-square at which it is doubted, 0 for never."""
-
-    def __len__(self) -> int:
-        return len(self.doubts)
-
-    def add(self, ends: tuple[int, int], pose: Pose, information: Matrix, doubt: float) -> None:
-        """Append one."""
-        self.ends.append(ends)
-        self.poses.append(pose)
-        self.informations.append(information)
-        self.doubts.append(doubt)
-
-
 class Loops:
     """The path of one lineage, its relations, and the map of what lies behind."""
 
@@ -137,6 +113,7 @@ class Loops:
         self._drift = np.zeros((3, 3))
         self._tried_m = 0.0
         self._pending: tuple[float, Pose] | None = None
+        self._closing: Closing | None = None
 
     def step(self, motion: Pose, covariance: Matrix, points: Points, path: Pose) -> Pose | None:
         """Take the next key scan.
@@ -163,9 +140,25 @@ class Loops:
         self._settle()
         if self.linked:
             self._place()
-        elif self._settled >= PAST and self._due():
-            return self._close()
-        return None
+            return None
+        self.look_on()
+        if self._closing is None:
+            self._closing = self._ask() if self._settled >= PAST and self._due() else None
+            return None
+        return self._close(self._closing) if self._closing.ended else None
+
+    def look_on(self) -> None:
+        """Go on with the search for an earlier place, if there is one: with each scan between key scans."""
+        if self._closing is not None and not self._closing.ended:
+            self._closing.go_on()
+
+    def conclude(self) -> Pose | None:
+        """Bring the search to its end, where no scan follows; return the path (K, 3) if it has moved."""
+        if self._closing is None:
+            return None
+        while not self._closing.ended:
+            self._closing.go_on()
+        return self._close(self._closing)
 
     @property
     def way_m(self) -> NDArray[np.float64]:
@@ -189,6 +182,7 @@ class Loops:
     def state(self) -> dict[str, NDArray[Any]]:
         """Return everything as arrays; `restore` takes it back."""
         places = self.places
+        closing = {} if self._closing is None else self._closing.state()
         pending = (np.nan,) * 4 if self._pending is None else (self._pending[0], *self._pending[1])
         return {
             "path": self.path.copy(),
@@ -206,6 +200,7 @@ class Loops:
             "tried_m": np.array(self._tried_m),
             "pending": np.array(pending),
             **{f"map.{name}": part for name, part in self._map.state().items()},
+            **{f"closing.{name}": part for name, part in closing.items()},
         }
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
@@ -227,6 +222,8 @@ class Loops:
         at_m, *shift = state["pending"].tolist()
         self._pending = None if np.isnan(at_m) else (at_m, np.array(shift))
         self._map.restore({name[4:]: part for name, part in state.items() if name.startswith("map.")})
+        closing = {name[8:]: part for name, part in state.items() if name.startswith("closing.")}
+        self._closing = Closing.from_state(closing) if closing else None
 
     def _with_drift(self, covariance: Matrix, motion: Pose, step_m: float) -> Matrix:
         c = self.config
@@ -241,6 +238,7 @@ class Loops:
         moved = np.abs(between(self.path[:known], path[:known]))
         self.path = np.array(path)
         if known and (moved[:, :2].max() > 0.01 or moved[:, 2].max() > 0.003):
+            self._closing = None
             self._rebuild()
 
     def _rebuild(self) -> None:
@@ -306,14 +304,30 @@ class Loops:
         every = self.config.try_every_m * (0.5 if self._pending else 1.0)
         return bool(self.way_m[-1] - self._tried_m > every)
 
-    def _close(self) -> Pose | None:
-        """Search the last metres in the settled map; where they are found, smooth the path."""
+    def _ask(self) -> Closing | None:
+        """Begin to search the last metres in the settled map, if it has anything where they may lie."""
         self._tried_m = self.way_m[-1]
-        found = self._find()
-        if found is None:
+        c, at = self.config, self.path[-1]
+        reach_m = min(3.0 * self.away_m() + 0.5, c.most_window_m)
+        reach_rad = min(3.0 * float(np.sqrt(self._drift[2, 2])) + 0.1, c.most_window_rad)
+        settled = self.path[: self._settled]
+        off = np.hypot(settled[:, 0] - at[0], settled[:, 1] - at[1])
+        if (off < reach_m + 3.0).sum() < 5:
             return None
-        place, risky = found
-        if risky and not self._confirmed(place):
+        near = np.flatnonzero(off < reach_m + c.reach_m)
+        cloud = np.vstack([transform(settled[k], self.points[k]) for k in near])
+        cloud = cloud[(np.abs(cloud - at[:2]) < reach_m + c.reach_m + 5.0).all(axis=1)]
+        query = self._query()
+        if len(cloud) < 100 or len(query) < 50:
+            return None
+        cloud = _thinned(cloud, FIELD_CELL_M)
+        return Closing(Question(cloud, query, at, len(self.path) - 1, reach_m, reach_rad, c.least_score))
+
+    def _close(self, closing: Closing) -> Pose | None:
+        """Take what a search found; where it is one place and no other, smooth the path."""
+        self._closing = None
+        place = self._judged(closing)
+        if place is None:
             return None
         query = self._query()
         hold = np.diag((1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.05**2))
@@ -329,37 +343,24 @@ class Loops:
         self._rebuild()
         return self.path.copy()
 
-    def _find(self) -> tuple[Pose, bool] | None:
-        """Return where the last metres fit in the window, and whether that wants a second look."""
-        c, at = self.config, self.path[-1]
-        away_m = self.away_m()
-        away_rad = float(np.sqrt(self._drift[2, 2]))
-        reach_m = min(3.0 * away_m + 0.5, c.most_window_m)
-        reach_rad = min(3.0 * away_rad + 0.1, c.most_window_rad)
-        settled = self.path[: self._settled]
-        off = np.hypot(settled[:, 0] - at[0], settled[:, 1] - at[1])
-        if (off < reach_m + 3.0).sum() < 5:
+    def _judged(self, closing: Closing) -> Pose | None:
+        """Return where the newest key scan is on the settled map, if that can be believed."""
+        found = closing.found()
+        if found is None:
             return None
-        near = np.flatnonzero(off < reach_m + c.reach_m)
-        cloud = np.vstack([transform(settled[k], self.points[k]) for k in near])
-        cloud = cloud[(np.abs(cloud - at[:2]) < reach_m + c.reach_m + 5.0).all(axis=1)]
-        query = self._query()
-        if len(cloud) < 100 or len(query) < 50:
-            return None
-        field = build_field(_thinned(cloud, FIELD_CELL_M), FIELD_CELL_M, FIELD_SIGMA_M, 0.3)
-        result = search(field, query, at, reach_m, reach_rad, c.least_score, least_rival=c.least_score - 0.1)
-        if result is None:
-            return None
-        rival = result.rival.score / result.best.score if result.rival else 0.0
-        far = away_m > FAR_M
-        off_by = between(at, result.best.map_t_points)
+        c = self.config
+        place = closing.carried(found.best.map_t_points, self.path)
+        rival = found.rival.score / found.best.score if found.rival else 0.0
+        far = self.away_m() > FAR_M
+        off_by = between(self.path[-1], place)
         spread = self._drift + np.diag((0.05**2, 0.05**2, 0.01**2))
         if (
             rival > (c.far_rival_ratio if far else c.rival_ratio)
             or off_by @ np.linalg.solve(spread, off_by) > GATE
         ):
             return None
-        return result.best.map_t_points, far or rival > c.far_rival_ratio
+        risky = far or rival > c.far_rival_ratio
+        return place if not risky or self._confirmed(place) else None
 
     def away_m(self) -> float:
         """How far the path may be off in the direction that is known worst, one sigma."""
@@ -369,8 +370,8 @@ class Loops:
         """Whether the try before, carried on by the path since, found the same place."""
         before = self._pending
         shift = compose(place, between(self.path[-1], np.zeros(3)))
-        self._pending = (self.way_m[-1], shift)
-        if before is None or self.way_m[-1] - before[0] > 3.0 * self.config.try_every_m:
+        self._pending = (self._tried_m, shift)
+        if before is None or self._tried_m - before[0] > 3.0 * self.config.try_every_m:
             return False
         apart = np.abs(between(compose(before[1], self.path[-1]), place))
         return bool((apart < (0.3, 0.3, 0.07)).all())

@@ -128,6 +128,42 @@ def test_restored_goes_on_as_if_never_interrupted(round_the_block, cut):
     assert again.closures == whole.closures
 
 
+def test_restored_amid_a_search_goes_on_with_it(round_the_block):
+    motions = drifting(round_the_block, 0.002, 0.004)
+    whole, _ = follow(round_the_block, motions)
+    again, amid = Loops(LoopConfig()), 0
+    for k, (points, _) in enumerate(round_the_block):
+        new = np.zeros(3) if k == 0 else compose(again.path[-1], motions[k])
+        again.step(motions[k], np.zeros((3, 3)), points, np.vstack((again.path, new)))
+        written = again.state()
+        if "closing.cloud" in written:
+            amid += 1
+            again = Loops(LoopConfig())
+            again.restore(written)
+    assert amid > 10
+    assert again.closures == whole.closures
+    np.testing.assert_array_equal(again.path, whole.path)
+
+
+def test_a_search_that_is_under_way_when_the_drive_ends_is_brought_to_its_end(round_the_block):
+    motions = drifting(round_the_block, 0.002, 0.004)
+    loops = Loops(LoopConfig())
+    for k, (points, _) in enumerate(round_the_block):
+        new = np.zeros(3) if k == 0 else compose(loops.path[-1], motions[k])
+        before = loops.closures
+        loops.step(motions[k], np.zeros((3, 3)), points, np.vstack((loops.path, new)))
+        if loops.closures > before:
+            break
+        written = loops.state()
+    # A key scan before the closure the search was on its way; nothing but time was missing.
+    loops = Loops(LoopConfig())
+    loops.restore(written)
+    assert loops.conclude() is not None
+    assert loops.closures == before + 1
+    assert loops.conclude() is None
+    assert loops.closures == before + 1
+
+
 def test_a_plain_corridor_is_nobodys_place():
     # There and back in a corridor that looks alike everywhere, with a matcher that cannot see along it.
     building = corridor(80.0, 2.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from processing.se2 import compose, invert, transform
-from processing.wide_match import LEVELS, build_field, search, search_all
+from processing.wide_match import LEVELS, Window, build_field, search
 
 
 def walls(*segments, spacing_m=0.04):
@@ -23,6 +23,12 @@ ROOM = walls(*itertools.pairwise(CORNERS), ((6, 2), (7, 3)))
 
 
 UP = np.array((0.0, 12.0))
+
+
+def all_places(*window, **settings):
+    whole = Window(*window, **settings)
+    assert whole.go_on()
+    return whole.places
 
 
 def seen_from(pose, points, count, seed=0):
@@ -127,7 +133,7 @@ def test_three_rooms_alike_are_three_places_and_a_fourth_is_none():
     field = build_field(rooms, 0.1, 0.12, 0.5)
     seen = seen_from(np.array((3.0, 14.0, 0.7)), ROOM + UP, 200)
     middle = np.array((5.0, 15.0, 0.0))
-    places = search_all(field, seen, middle, 16.0, np.pi, 0.5, 1.0, 0.5, least_share=0.9)
+    places = all_places(field, seen, middle, 16.0, np.pi, 0.5, 1.0, 0.5, least_share=0.9)
     assert sorted(round(place.map_t_points[1]) for place in places) == [2, 14, 26]
     assert all(np.abs(place.map_t_points[[0, 2]] - (3.0, 0.7)).max() < 0.15 for place in places)
 
@@ -138,7 +144,27 @@ def test_where_there_is_no_ground_no_place_is_looked_for():
     seen = seen_from(np.array((3.0, 2.0, 0.7)), ROOM, 200)
     ground = np.array(np.meshgrid(np.arange(0.5, 10.0, 0.3), np.arange(12.5, 16.0, 0.3))).reshape(2, -1).T
     middle = np.array((5.0, 9.0, 0.0))
-    everywhere = search_all(field, seen, middle, 10.0, np.pi, 0.5, 1.0, 0.5, least_share=0.9)
-    (place,) = search_all(field, seen, middle, 10.0, np.pi, 0.5, 1.0, 0.5, least_share=0.9, ground=ground)
+    everywhere = all_places(field, seen, middle, 10.0, np.pi, 0.5, 1.0, 0.5, least_share=0.9)
+    (place,) = all_places(field, seen, middle, 10.0, np.pi, 0.5, 1.0, 0.5, least_share=0.9, ground=ground)
     assert len(everywhere) == 2
     assert place.map_t_points[1] == pytest.approx(14.0, abs=0.15)
+
+
+@pytest.mark.parametrize("squares", [1, 300, 20_000])
+def test_a_search_left_off_and_gone_on_with_finds_the_same(squares):
+    rooms = np.vstack([ROOM + number * UP for number in range(3)])
+    field = build_field(rooms, 0.1, 0.12, 0.5)
+    window = (field, seen_from(np.array((3.0, 14.0, 0.7)), ROOM + UP, 60), np.array((5.0, 15.0, 0.0)))
+    bounds = (16.0, 1.0, 0.5, 1.0, 0.5)
+    whole = all_places(*window, *bounds, least_share=0.9)
+    search, rounds = Window(*window, *bounds, least_share=0.9), 1
+    while not search.go_on(squares):
+        rounds += 1
+        written = search.state()
+        search = Window(*window, *bounds, least_share=0.9)
+        search.restore(written)
+    assert rounds > (3 if squares < 20_000 else 0)
+    assert len(whole) == 3
+    for one, other in zip(whole, search.places, strict=True):
+        np.testing.assert_array_equal(one.map_t_points, other.map_t_points)
+        assert one.score == other.score
