@@ -92,10 +92,8 @@ class Footing:
             twist: The velocity that it is taken to have, (2,) or (3,), laser frame.
             duration_s: Since the scan before.
         """
-        self._kinds = np.full(len(points), Kind.WALL, np.int64)
-        self._numbers = np.full(len(points), -1, np.int64)
         if self._walkers is None or self._fastest_m_s > WALKING_M_S:
-            return points
+            return self.trust(points)
         velocity = transform(np.array((0.0, 0.0, yaw_rad)), twist[None, :2])[0]
         kinds = self._walkers.look(
             points, spans_m, yaw_rad, velocity, self._fastest_m_s, self.sight.leaning, duration_s
@@ -110,6 +108,12 @@ class Footing:
             out[:] = False
         self._kinds, self._numbers = kinds[~out], self._walkers.numbers[~out]
         return points[~out]
+
+    def trust(self, points: Points) -> Points:
+        """Return all points (N, 2) of a scan, in place of what `leave_out` returned of it."""
+        self._kinds = np.full(len(points), Kind.WALL, np.int64)
+        self._numbers = np.full(len(points), -1, np.int64)
+        return points
 
     def learn(self, points: Points, matching: Matching, reference: Ndt, limit_m: float) -> View:
         """Note by what the points that were left (M, 2) saw, and return what they saw.

@@ -32,6 +32,7 @@ from processing.recovery import shaded
 from processing.saliency import Resampler, ResamplingConfig
 from processing.scan import Beams, Scan
 from processing.se2 import Pose, between, compose, snap_yaw, transform
+from processing.straightening import Straightener
 from processing.tracking import Watch
 
 SHAKEN = np.array((0.05, 0.05, 0.015))
@@ -123,6 +124,8 @@ class LaserOdometry:
         self._local = LocalMap(config.ndt, config.key_scans if many else 1, many and config.walls_have_sides)
         fine_share = config.matching.fine_share if config.matching.polish else 0.0
         self._footing = Footing(self._matcher, many and config.walkers_left_out)
+        self._straightener = Straightener(config.matching)
+        self._is_straightened = many and config.deskew
         self._certainty = Certainty(config.matching.score_weight, fine_share)
         self._blindness = Blindness()
 
@@ -151,7 +154,14 @@ class LaserOdometry:
         covariance = self._filter.covariance[:3, :3]
         sees = len(points) > 0 and not shaded(points)
         if prior is not None and sees:
-            matching, fits = self._locate(points, prior, watch)
+            self._local.face(prior.pose)
+            matching = self._matcher.match(points, self._local.reference, prior)
+            if self._is_bent(scan, matching, resampler, middle_s):
+                prior = self._filter.prior()
+                ends = resampler.points(scan, self._filter.twist, middle_s)
+                points = self._footing.trust(resampler.means())
+                matching = self._matcher.match(points, self._local.reference, prior)
+            matching, fits = self._locate(points, matching, prior, watch)
         if prior is not None and not fits:
             watch.miss(self._filter, missed)
         if prior is not None and matching is not None and (watch.trying or not watch.lost):
@@ -230,15 +240,23 @@ class LaserOdometry:
         twist = self._footing.sure_twist(self._filter.twist)
         return self._cruise.velocity(twist, self._filter.doubt_m_s)
 
-    def _locate(self, points: Points, prior: Prior, watch: Watch) -> tuple[Matching, bool]:
-        """Match the scan where it is expected; where it does not fit there, look farther.
+    def _is_bent(self, scan: Scan, matching: Matching, resampler: Resampler, middle_s: float) -> bool:
+        """Whether a scan fits badly because the laser began to turn; the filter knows the rate then."""
+        least = self._watch.straight_score(matching)
+        if least is None or not (self._is_straightened and self._footing.firm):
+            return False
+        reference = self._local.reference
+        return self._straightener.straighten(scan, resampler, self._filter, middle_s, reference, least)
+
+    def _locate(
+        self, points: Points, matching: Matching, prior: Prior, watch: Watch
+    ) -> tuple[Matching, bool]:
+        """Judge the match of a scan where it is expected; where it does not fit there, look farther.
 
         Returns:
             The best match, and whether the scan fits there.
         """
         local = self._local
-        local.face(prior.pose)
-        matching = self._matcher.match(points, local.reference, prior)
         if self.config.reference == "previous_scan":
             # The paper's chain takes every match.
             watch.take(matching)

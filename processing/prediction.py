@@ -212,9 +212,21 @@ class ConstantVelocity:
         covariance[i + 3, i] += noise * duration_s**2 / 2.0
         covariance[i + 3, i + 3] += noise * duration_s
         self.covariance = covariance
-        return Prior(
-            self.pose, turned(np.asarray(np.linalg.inv(covariance[:3, :3]), np.float64), self.pose[2])
-        )
+        return self.prior()
+
+    def prior(self) -> Prior:
+        """Return what is expected now."""
+        information = np.asarray(np.linalg.inv(self.covariance[:3, :3]), np.float64)
+        return Prior(self.pose, turned(information, self.pose[2]))
+
+    def see_turn(self, rate_rad_s: float, deviation_rad_s: float) -> Prior:
+        """Take in the turn rate that the laser has now, and how well it is known; return what is expected."""
+        gain = self.covariance[:, 5] / (self.covariance[5, 5] + deviation_rad_s**2)
+        change = gain * (rate_rad_s - self.twist[2])
+        self.pose = compose(self.pose, exponential(change[:3]))
+        self.twist = self.twist + change[3:]
+        self.covariance = self.covariance - np.outer(gain, self.covariance[5])
+        return self.prior()
 
     def bound(self, unseen: NDArray[np.float64]) -> None:
         """Hold the doubt of the velocity along unseen directions (K, 2), laser frame, to that of a start.

@@ -25,6 +25,8 @@ On real logs one scan in some thousands scores less where it is; carried elsewhe
 """
 SURE = 0.75
 """The same after a scan that did not fit: the laser may be elsewhere."""
+STRAIGHTER = 1.25
+"""By so much better a bent scan fits when it is set straight."""
 DOUBTFUL = 0.75
 """The same, where the map knows what the scan should see: something else moves."""
 DOUBT_S = 2.0
@@ -99,6 +101,12 @@ class Watch:
         self._recovery.since_s = self.since_s
         stands = self.lost and not self._recovery.trying
         return self._recovery.stand(filter_) if stands else filter_.advance(duration_s)
+
+    def straight_score(self, matching: Matching) -> float | None:
+        """Return what a scan must score that was bent and is set straight; None if it fits as it is."""
+        if self.lost or matching.score >= SURE * self._usual:
+            return None
+        return max(STRAIGHTER * matching.score, FIT * self._usual)
 
     def accept(self, points: Points, matching: Matching, prior: Prior, keys: Sequence[KeyScan]) -> bool:
         """Judge the match of a scan; one that fits goes into what is usual.

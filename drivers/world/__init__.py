@@ -12,7 +12,7 @@ from drivers.world.generators import (
     room,
     square_of_corridors,
 )
-from drivers.world.laser import Laser, Sick, Urg04lx, bearings
+from drivers.world.laser import Laser, Sick, Spinning, Urg04lx, bearings
 from drivers.world.pursuit import Pursuit, PursuitConfig
 from drivers.world.raycast import Hits, cast
 from drivers.world.robot import WheeledRobot
@@ -24,6 +24,7 @@ __all__ = [
     "Pursuit",
     "PursuitConfig",
     "Sick",
+    "Spinning",
     "Urg04lx",
     "WheeledRobot",
     "bearings",

@@ -1,7 +1,8 @@
 """What a laser makes of a building: noise, systematic error, and the places where it sees nothing.
 
-Two models: an URG-04LX as its specification and a real recording describe it (error codes and all), and a
-long range laser of the SICK kind.  Randomness comes in as a generator: a seed gives the same ranges again.
+Three models: an URG-04LX as its specification and a real recording describe it (error codes and all), a
+long range laser of the SICK kind, and a cheap one that turns all around, slowly.  Randomness comes in as a
+generator: a seed gives the same ranges again.
 """
 
 from abc import ABC, abstractmethod
@@ -147,3 +148,17 @@ class Sick(Laser):
         ranges = _look(self, building, map_t_laser).ranges_m
         ranges = ranges + self.noise_m * rng.standard_normal(self.beams)
         return np.round(np.maximum(ranges, self.range_min_m), 2).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spinning(Sick):
+    """A cheap laser that turns all around: a degree between rays, a revolution in a fifth of a second."""
+
+    beams: int = 360
+    angle_min_rad: float = -np.pi
+    angle_increment_rad: float = np.pi / 180
+    time_increment_s: float = 1.0 / 5.5 / 360
+    period_s: float = 1.0 / 5.5
+    range_min_m: float = 0.15
+    range_max_m: float = 12.0
+    noise_m: float = 0.02

@@ -178,6 +178,7 @@ COURSES: dict[str, Callable[[int], Drive | None]] = {
     "floor SICK, people": _floor(world.Sick, 6, 0.1, speed_mps=0.6, turn_rate_radps=1.2),
     "floor URG": _floor(world.Urg04lx, 0, 0.2, speed_mps=0.4),
     "floor URG, people": _floor(world.Urg04lx, 6, 0.2, speed_mps=0.4),
+    "floor spinning": _floor(world.Spinning, 0, 0.1, speed_mps=0.6, turn_rate_radps=1.5),
     "pillars": _simulated(lambda: world.pillar_hall(20.0, 12.0), 0.1),
 }
 

@@ -111,6 +111,20 @@ def test_a_correction_is_that_of_a_kalman_filter():
     np.testing.assert_allclose(filter_.twist, expected, rtol=1e-9)
 
 
+def test_a_turn_rate_that_was_seen_is_a_correction_of_a_kalman_filter():
+    filter_ = moving_filter()
+    filter_.advance(PERIOD_S)
+    pose, twist, before = filter_.pose.copy(), filter_.twist.copy(), filter_.covariance.copy()
+    prior = filter_.see_turn(twist[2] + 0.4, 0.1)
+    whole = np.linalg.inv(before)
+    whole[5, 5] += 1.0 / 0.1**2
+    np.testing.assert_allclose(filter_.covariance, np.linalg.inv(whole), rtol=1e-5, atol=1e-12)
+    change = np.linalg.solve(whole, np.array((0.0, 0.0, 0.0, 0.0, 0.0, 0.4 / 0.1**2)))
+    np.testing.assert_allclose(filter_.twist - twist, change[3:], rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(logarithm(between(pose, filter_.pose)), change[:3], rtol=1e-6, atol=1e-12)
+    np.testing.assert_array_equal(prior.pose, filter_.pose)
+
+
 @pytest.mark.parametrize("yaw_rad", [0.0, 0.9, -2.5])
 def test_a_match_that_may_be_wrong_is_as_wrong_as_it_is_far_from_what_was_expected(yaw_rad):
     pose = np.array((1.0, 2.0, yaw_rad))
