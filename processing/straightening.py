@@ -63,13 +63,14 @@ class Straightener:
             return self._polish.match(resampler.means(), reference, prior).score
 
         scores = np.array([fit(sigmas) for sigmas in RATES])
-        best = int(scores.argmax())
-        told = 0 < best < len(RATES) - 1 and bool(scores[best] >= least_score)
-        if told:
+        best, told = int(scores.argmax()), False
+        if 0 < best < len(RATES) - 1:
             below, here, above = scores[best - 1 : best + 2]
             # The top of the parabola through the best rate and its neighbours.
             aside = 0.5 * (below - above) / (below - 2.0 * here + above)
-            rate = expected + (RATES[best] + aside * (RATES[1] - RATES[0])) * doubt
-            filter_.see_turn(rate, RATE_SHARE * doubt)
+            sigmas = RATES[best] + aside * (RATES[1] - RATES[0])
+            told = fit(sigmas) >= least_score
+            if told:
+                filter_.see_turn(expected + sigmas * doubt, RATE_SHARE * doubt)
         resampler.points(scan, filter_.twist, middle_s)
         return told
