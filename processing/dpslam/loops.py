@@ -83,12 +83,16 @@ POINT_GAIN = 0.3
 DOUBT = 12.0
 """Chi-square at which a place is doubted: 3 degrees of freedom pass it once in a hundred."""
 GATE = 20.0
-"""Chi-square of a closure against the drift beyond which it is another place that looks alike."""
+"""Chi-square of a closure against the drift beyond which it is another place that looks alike. On the way
+there the place must fit better and better, up to every point: of two explanations, a strange drift and a
+likeness of places, the score must rule one out."""
 UNSEEN_M = 1.5 * WIDE_M
 """Deviation of the motion between key scans from which the odometry did not see: half as much again as that
 up to which one that it saw is doubted."""
 FAR_M = 0.5
 """Drift (one sigma) from which neighbouring doors may be mistaken for each other."""
+MOST_BEHIND = 0.1
+"""Share of the points that fit which may lie on walls that are known from their other side only."""
 QUERY_POINTS = 400
 NO_POINTS = np.zeros((0, 2))
 PAST = 20
@@ -239,30 +243,20 @@ class Loops:
         self.path = np.array(path)
         if known and (moved[:, :2].max() > 0.01 or moved[:, 2].max() > 0.003):
             self._closing = None
-            self._rebuild()
-
-    def _rebuild(self) -> None:
-        if self._settled == 0:
-            self._map.clear()
-            return
-        lengths = [len(points) for points in self.points[: self._settled]]
-        poses = np.repeat(self.path[: self._settled], lengths, axis=0)
-        points = np.vstack(self.points[: self._settled])
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        x = c * points[:, 0] - s * points[:, 1] + poses[:, 0]
-        y = s * points[:, 0] + c * points[:, 1] + poses[:, 1]
-        self._map.rebuild(np.column_stack((x, y)))
+            self._map.rebuild(self.points[: self._settled], self.path[: self._settled])
 
     def _settle(self) -> None:
         while self.way_m[self._settled] < self.way_m[-1] - self.config.reach_m:
-            self._map.add(transform(self.path[self._settled], self.points[self._settled]))
+            self._map.add(self.points[self._settled], self.path[self._settled])
             self._settled += 1
 
     def _place(self) -> None:
         """Note where the newest key scan lies on the settled map; give up the link after misses in a row."""
         at, points = self.path[-1], self.points[-1]
         self._misses += 1
-        if len(points) and (self._map.fits(points, at) >= 0.0).mean() > KNOWN_SHARE:
+        count = len(points)
+        points = points[~self._map.away(points, at)]
+        if np.count_nonzero(self._map.fits(points, at) >= 0.0) > KNOWN_SHARE * count:
             prior = self._covariances.rows[-1] + np.diag((0.03**2, 0.03**2, 0.01**2))
             fit = self._map.refine(points, at, np.asarray(np.linalg.inv(_in_map(prior, at[2]))))
             fits = self._map.fits(points, fit.map_t_points)
@@ -334,13 +328,15 @@ class Loops:
         fit = self._map.refine(query, place, hold)
         if (np.abs(between(place, fit.map_t_points)) > MOST_CORRECTION).any():
             return None
+        if self._is_behind_walls(fit.map_t_points):
+            return None
         share = len(self.points[-1]) / len(query)
         if not self._relate(fit.map_t_points, share * fit.information, 0.0):
             return None
         self.closures += 1
         self.linked, self._misses, self._pending = True, 0, None
         self.path = self.smoothed()
-        self._rebuild()
+        self._map.rebuild(self.points[: self._settled], self.path[: self._settled])
         return self.path.copy()
 
     def _judged(self, closing: Closing) -> Pose | None:
@@ -354,13 +350,28 @@ class Loops:
         far = self.away_m() > FAR_M
         off_by = between(self.path[-1], place)
         spread = self._drift + np.diag((0.05**2, 0.05**2, 0.01**2))
+        strangeness = off_by @ np.linalg.solve(spread, off_by) / GATE
         if (
             rival > (c.far_rival_ratio if far else c.rival_ratio)
-            or off_by @ np.linalg.solve(spread, off_by) > GATE
+            or found.best.score < c.least_score + (1.0 - c.least_score) * strangeness
         ):
             return None
         risky = far or rival > c.far_rival_ratio
         return place if not risky or self._confirmed(place) else None
+
+    def _is_behind_walls(self, map_t_laser: Pose) -> bool:
+        """Whether the last metres fit because the walls of one room lie on those of the next one.
+
+        Args:
+            map_t_laser: (3,) where the newest key scan was found.
+        """
+        fitting = behind = 0
+        for key in range(self._first_asked(), len(self.points)):
+            points, at = self.points[key], compose(map_t_laser, between(self.path[-1], self.path[key]))
+            fits = self._map.fits(points, at) > FITTING
+            fitting += int(np.count_nonzero(fits))
+            behind += int(np.count_nonzero(fits & self._map.away(points, at)))
+        return behind > MOST_BEHIND * fitting
 
     def away_m(self) -> float:
         """How far the path may be off in the direction that is known worst, one sigma."""
@@ -378,9 +389,7 @@ class Loops:
 
     def _query(self) -> Points:
         """Gather the points of the last metres of way, evenly, in the newest laser frame."""
-        c = self.config
-        length_m = min(max(c.query_m, 6.0 * self.away_m()), c.most_query_m)
-        first = int(np.searchsorted(self.way_m, self.way_m[-1] - length_m))
+        first = self._first_asked()
         here = self.path[-1]
         parts = [
             transform(between(here, self.path[k]), self.points[k]) for k in range(first, len(self.points))
@@ -389,6 +398,12 @@ class Loops:
         if len(query) > QUERY_POINTS:
             query = query[np.linspace(0, len(query) - 1, QUERY_POINTS).astype(np.int64)]
         return np.ascontiguousarray(query)
+
+    def _first_asked(self) -> int:
+        """Return the first key scan of the last metres: the more may be off, the more must be recognised."""
+        c = self.config
+        length_m = min(max(c.query_m, 6.0 * self.away_m()), c.most_query_m)
+        return int(np.searchsorted(self.way_m, self.way_m[-1] - length_m))
 
     def _relations(self) -> Relations:
         chain = np.arange(1, len(self.path))

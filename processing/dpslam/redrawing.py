@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from processing import se2
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.filter import DpSlam
 from processing.dpslam.memory import KeyScans
@@ -92,8 +91,7 @@ def _loops(past: Past, config: DpSlamConfig) -> dict[str, NDArray[Any]]:
     way_m = np.cumsum(steps)
     settled = int(np.searchsorted(way_m, way_m[-1] - config.loops.reach_m))
     drawn = SettledMap()
-    placed = [se2.transform(past.map_t_laser[key], points[key]) for key in range(settled)]
-    drawn.rebuild(np.vstack((np.zeros((0, 2)), *placed)))
+    drawn.rebuild(points[:settled], past.map_t_laser[:settled])
     return {
         "path": past.map_t_laser,
         "points": np.vstack((np.zeros((0, 2)), *points)),

@@ -3,17 +3,19 @@
 Being found on it means having come back. It only grows; when the path below it moves, it is built anew.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.dpslam.settled_kernels import fit_of_points, refit, refit_all
+from processing.dpslam.settled_kernels import fit_of_points, look_away, note_views, refit, refit_all
+from processing.local_map import BEHIND_M, BEHIND_SLANT
 from processing.matching_kernels import polish
 from processing.ndt import NdtConfig, Points, extent
 from processing.ndt_kernels import accumulate
-from processing.se2 import Pose
+from processing.se2 import Pose, transform
 
 _T = TypeVar("_T", bound=np.generic)
 CELL_M = 0.25
@@ -54,32 +56,54 @@ class SettledMap:
         self._sums: NDArray[np.float64] = np.zeros((0, 6))
         self._places: NDArray[np.int32] = np.zeros((0, 2), dtype=np.int32)
         self._normals: NDArray[np.float64] = np.zeros((0, 5))
+        self._views: NDArray[np.float64] = np.zeros((0, 2))
         self._counts = np.zeros(3, dtype=np.int64)
 
-    def add(self, points_map: Points) -> None:
-        """Work points (N, 2) into the map."""
-        if len(points_map) == 0:
+    def add(self, points: Points, map_t_laser: Pose) -> None:
+        """Work the points (N, 2) of a scan into the map, laser frame, that was taken at a pose (3,)."""
+        if len(points) == 0:
             return
-        self._cover(points_map)
-        points = np.ascontiguousarray(points_map)
-        self._accumulate(points)
+        placed = np.ascontiguousarray(transform(map_t_laser, points))
+        self._cover(placed)
+        self._accumulate(placed, np.tile(map_t_laser[:2], (len(placed), 1)))
         self._counts[1] = refit(
-            points, self._origin, self._slots, self._sums, self._normals, self._rule, self._counts[1]
+            placed, self._origin, self._slots, self._sums, self._normals, self._rule, self._counts[1]
         )
 
-    def rebuild(self, points_map: Points) -> None:
-        """Forget everything and take these points (N, 2) at once, as if added one scan after the other."""
+    def rebuild(self, scans: Sequence[Points], path: Pose) -> None:
+        """Forget everything and take these scans at once, as if added one after the other.
+
+        Args:
+            scans: The points of each, (N, 2) m, laser frame.
+            path: (K, 3) map_t_laser of each.
+        """
         self.clear()
-        if len(points_map) == 0:
+        if sum(len(points) for points in scans) == 0:
             return
-        self._cover(points_map)
-        points = np.ascontiguousarray(points_map)
+        poses = np.repeat(path, [len(points) for points in scans], axis=0)
+        points = np.vstack(scans)
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        x = c * points[:, 0] - s * points[:, 1] + poses[:, 0]
+        y = s * points[:, 0] + c * points[:, 1] + poses[:, 1]
+        placed, lasers = np.column_stack((x, y)), np.ascontiguousarray(poses[:, :2])
+        self._cover(placed)
         # Piece by piece: the room for all points at once would be that of the drive, not of its area.
-        for first in range(0, len(points), PIECE):
-            self._accumulate(points[first : first + PIECE])
+        for first in range(0, len(placed), PIECE):
+            self._accumulate(placed[first : first + PIECE], lasers[first : first + PIECE])
         self._counts[1] = refit_all(
             self._places, self._counts[0], self._slots, self._sums, self._normals, self._rule, self._counts[1]
         )
+
+    def away(self, points: Points, map_t_points: Pose) -> NDArray[np.bool_]:
+        """Return which of the points (N, 2) of a scan lie on walls whose other side was seen, and only that.
+
+        A wall between two rooms has a side in each; matched on the wrong one, the scan would be off by the
+        thickness of the wall. See `processing.local_map`.
+        """
+        away = np.empty(len(points), np.bool_)
+        grid = (self._origin, self._slots, self._sums, self._normals, self._views)
+        look_away(points, map_t_points, *grid, BEHIND_M, BEHIND_SLANT, away)
+        return away
 
     def fits(self, points: Points, map_t_points: Pose) -> NDArray[np.float64]:
         """Score each of the points (N, 2) at a pose, 0 to 1; -1 where the map knows nothing."""
@@ -103,6 +127,7 @@ class SettledMap:
             "sums": self._sums.copy(),
             "places": self._places.copy(),
             "normals": self._normals.copy(),
+            "views": self._views.copy(),
             "counts": self._counts.copy(),
         }
 
@@ -111,16 +136,19 @@ class SettledMap:
         self._origin, self._slots = state["origin"].copy(), state["slots"].copy()
         self._sums, self._places = state["sums"].copy(), state["places"].copy()
         self._normals, self._counts = state["normals"].copy(), state["counts"].copy()
+        self._views = state["views"].copy()
 
-    def _accumulate(self, points: Points) -> None:
-        """Add points (N, 2) within the window to the sums of their half cells."""
+    def _accumulate(self, points: Points, lasers: NDArray[np.float64]) -> None:
+        """Add points (N, 2) within the window, seen from (N, 2), to the sums of their half cells."""
         need = int(self._counts[0]) + len(points)
         if need > len(self._sums):
             size = 2 * need
             self._sums = _longer(self._sums, size)
             self._places = _longer(self._places, size)
             self._normals = _longer(self._normals, 4 * size)
+            self._views = _longer(self._views, size)
         accumulate(points, self._origin, self._slots, self._sums, self._places, self._counts)
+        note_views(points, lasers, self._origin, self._slots, self._views)
 
     def _cover(self, points: Points) -> None:
         """Let the window cover the points (N, 2) with a border."""

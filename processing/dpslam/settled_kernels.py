@@ -9,6 +9,12 @@ from numba import njit
 
 from processing.ndt_kernels import fit_block, point_score
 
+FLAT_RATIO = 0.1
+"""Greatest ratio of the variances of a block that has sides."""
+ONE_SIDED = 0.1
+"""Least mean of the cosines between its normal and where it was seen from: of what was seen from both sides,
+and of an edge that was looked along, nothing is told."""
+
 
 @njit("i8(i8, i8, i4[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], i8)", cache=True, nogil=True)
 def refit_around(row, col, slots, sums, normals, rule, normal, used):
@@ -66,3 +72,87 @@ def fit_of_points(points, origin, slots, normals, pose, fits):
                 known = known or slots[1, r, c] >= 0
         if known:
             fits[k] = point_score(u, v, row, col, slots, normals, inverse, 0.0)
+
+
+@njit("void(f8[:,::1], f8[:,::1], f8[::1], i4[:,:,::1], f8[:,::1])", cache=True, nogil=True)
+def note_views(points, lasers, origin, slots, views):
+    """Add to the half cell of each point (N, 2) the unit vector to the laser (N, 2) that saw it."""
+    rows, cols = slots.shape[1], slots.shape[2]
+    for k in range(points.shape[0]):
+        col = int(np.floor((points[k, 0] - origin[0]) * origin[2]))
+        row = int(np.floor((points[k, 1] - origin[1]) * origin[2]))
+        if 1 <= row < rows - 1 and 1 <= col < cols - 1 and slots[0, row, col] >= 0:
+            dx, dy = lasers[k, 0] - points[k, 0], lasers[k, 1] - points[k, 1]
+            away = max(np.hypot(dx, dy), 1e-9)
+            slot = slots[0, row, col]
+            views[slot, 0] += dx / away
+            views[slot, 1] += dy / away
+
+
+@njit("b1(i8, i8, f8, f8, i4[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8, f8)", cache=True, nogil=True)
+def block_is_away(row, col, x, y, slots, sums, normals, views, least_m, least_slant):
+    """Whether a block is a wall that was seen from one side only, and a laser at (x, y) is on the other."""
+    slot = slots[1, row, col]
+    xx, xy, yy = normals[slot, 2], normals[slot, 3], normals[slot, 4]
+    half = 0.5 * (xx - yy)
+    root = np.sqrt(half * half + xy * xy)
+    mean = 0.5 * (xx + yy)
+    if mean - root > FLAT_RATIO * (mean + root):
+        return False
+    # Of the inverse covariance: its long axis is the wall's short one.
+    angle = 0.5 * np.arctan2(xy, half)
+    nx, ny = np.cos(angle), np.sin(angle)
+    count = seen_x = seen_y = 0.0
+    for r in range(row, row + 2):
+        for c in range(col, col + 2):
+            cell = slots[0, r, c]
+            if cell >= 0:
+                count += sums[cell, 0]
+                seen_x += views[cell, 0]
+                seen_y += views[cell, 1]
+    side = nx * seen_x + ny * seen_y
+    if abs(side) < ONE_SIDED * count:
+        return False
+    dx, dy = x - normals[slot, 0], y - normals[slot, 1]
+    beyond = -np.sign(side) * (nx * dx + ny * dy) - least_m
+    return bool(beyond > 0.0 and beyond > least_slant * np.hypot(dx, dy))
+
+
+@njit(
+    "void(f8[:,::1], f8[::1], f8[::1], i4[:,:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8, f8, b1[::1])",
+    cache=True,
+    nogil=True,
+)
+def look_away(points, pose, origin, slots, sums, normals, views, least_m, least_slant, away):
+    """Mark the points (N, 2), laser frame, that lie on nothing but walls that face away from the laser.
+
+    Args:
+        points: (N, 2) m, laser frame.
+        pose: (3,) of the laser.
+        origin: Of the map.
+        slots: Of the map.
+        sums: Of its half cells.
+        normals: Of its blocks.
+        views: (K, 2) of its half cells: sums of unit vectors to the lasers that saw them.
+        least_m: How far the laser must be behind the line of a wall, and
+        least_slant: by which sine of an angle more, seen from the wall.
+        away: (N,) the answer.
+    """
+    cs, sn, inverse = np.cos(pose[2]), np.sin(pose[2]), origin[2]
+    rows, cols = slots.shape[1], slots.shape[2]
+    x, y = pose[0] - origin[0], pose[1] - origin[1]
+    for k in range(points.shape[0]):
+        u = cs * points[k, 0] - sn * points[k, 1] + x
+        v = sn * points[k, 0] + cs * points[k, 1] + y
+        col, row = int(np.floor(u * inverse)), int(np.floor(v * inverse))
+        away[k] = False
+        if row < 1 or col < 1 or row >= rows - 1 or col >= cols - 1:
+            continue
+        known = facing = 0
+        for r in range(row - 1, row + 1):
+            for c in range(col - 1, col + 1):
+                if slots[1, r, c] >= 0:
+                    known += 1
+                    if not block_is_away(r, c, x, y, slots, sums, normals, views, least_m, least_slant):
+                        facing += 1
+        away[k] = known > 0 and facing == 0

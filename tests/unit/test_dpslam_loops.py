@@ -5,9 +5,11 @@ import itertools
 import numpy as np
 import pytest
 
+from drivers.world import Building, outline
 from drivers.world.drive import simulate_scans
 from drivers.world.generators import corridor, square_of_corridors
 from drivers.world.laser import Sick, bearings
+from processing.dpslam import loops as loops_module
 from processing.dpslam.loops import LoopConfig, Loops
 from processing.se2 import between, compose
 
@@ -162,6 +164,21 @@ def test_a_search_that_is_under_way_when_the_drive_ends_is_brought_to_its_end(ro
     assert loops.closures == before + 1
     assert loops.conclude() is None
     assert loops.closures == before + 1
+
+
+@pytest.mark.parametrize("sides_count", [True, False])
+def test_the_room_next_door_is_not_home_though_their_wall_is_one(monkeypatch, sides_count):
+    if not sides_count:
+        monkeypatch.setattr(loops_module, "MOST_BEHIND", 1.0)
+    corridor_m, doors = (0.0, 0.0, 12.0, 2.0), ((3.5, 2.0, 4.5, 2.2), (7.5, 2.0, 8.5, 2.2))
+    rooms = (2.0, 2.2, 5.9, 12.2), (6.1, 2.2, 10.0, 12.2)
+    building = Building(outline([corridor_m, *doors, *rooms]))
+    route = np.array(((1.0, 1.0), (4.0, 1.0), (4.0, 11.2), (4.0, 1.0), (8.0, 1.0), (8.0, 11.2)))
+    keys = key_scans(building, route, seed=2)
+    loops, _ = follow(keys, drifting(keys, 0.0, 0.0))
+    assert loops.closures > 0
+    # Else it is off by the thickness of the wall.
+    assert (worst(loops.smoothed(), keys) < 0.1) == sides_count
 
 
 def test_a_plain_corridor_is_nobodys_place():

@@ -38,6 +38,7 @@ _spec.loader.exec_module(naive)
 DPSLAM = "unit/test_dpslam_naive.py::test_the_filter_equals_one_that_copies_whole_maps"
 SLOPES = "unit/test_ndt.py::test_gradient_and_hessian_are_the_differences_of_the_score_at_fixed_weights"
 PASSES = "unit/test_evaluation_sharpness.py::test_a_ray_passes_each_cell_between_its_ends_but_the_last_two"
+SIDES = "unit/test_dpslam_settled.py::test_what_faces_away_is_what_a_plain_look_at_the_points_says"
 SETTLED = "unit/test_dpslam_settled.py::test_the_fit_of_each_point_is_that_of_four_plain_grids"
 SCORE = "unit/test_ndt.py::test_the_score_is_that_of_four_plain_grids"
 
@@ -101,7 +102,12 @@ TWINS = {
     "dpslam.grid": {"": DPSLAM},
     "dpslam.kernels": {"": DPSLAM},
     "dpslam.laser_model": {"": DPSLAM},
-    "dpslam.settled_kernels": {"": SETTLED},
+    "dpslam.settled_kernels": {
+        "note_views": SIDES,
+        "block_is_away": SIDES,
+        "look_away": SIDES,
+        "": SETTLED,
+    },
     "dpslam.writing": {"": DPSLAM},
 }  # fmt: skip
 """Module -> kernel -> the test that holds it against something plain; "" are those that its others call."""
