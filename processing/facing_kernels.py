@@ -49,8 +49,10 @@ def face(points, count, normals):
         x, y = points[i, 0], points[i, 1]
         near_2 = NEAR_M * NEAR_M
         reach_2 = max(near_2, REACH * REACH * (x * x + y * y))
-        sums[:] = 0.0
-        sums[:, 0] = 1.0
+        for part in range(3):
+            sums[part, 0] = 1.0
+            for m in range(1, 6):
+                sums[part, m] = 0.0
         for side in range(1, 3):
             step = 2 * side - 3
             j = i + step
@@ -66,7 +68,8 @@ def face(points, count, normals):
                 sums[side, 4] += u * v
                 sums[side, 5] += v * v
                 j += step
-        sums[0] = sums[1] + sums[2]
+        for m in range(6):
+            sums[0, m] = sums[1, m] + sums[2, m]
         sums[0, 0] -= 1.0
         normals[i, 0] = normals[i, 1] = 0.0
         thinnest = THIN

@@ -75,7 +75,9 @@ def things_of(points, spans_m, numbers):
         things += 1
     # A wall in pieces is no small thing.
     box = np.empty((things, 4))
-    box[:, :2], box[:, 2:] = np.inf, -np.inf
+    for n in range(things):
+        box[n, 0] = box[n, 1] = np.inf
+        box[n, 2] = box[n, 3] = -np.inf
     for i in range(left):
         x, y = points[small[i], 0], points[small[i], 1]
         n = numbers[small[i]]
@@ -114,7 +116,8 @@ def move_on(things, velocity, duration_s):
             speed_of(thing, speed)
         thing[0] += duration_s * speed[0]
         thing[1] += duration_s * speed[1]
-        one, t, tt, x, y, tx, ty, square = thing[SUMS:AGE]
+        one, t, tt = thing[SUMS], thing[SUMS + 1], thing[SUMS + 2]
+        x, y, tx, ty = thing[SUMS + 3], thing[SUMS + 4], thing[SUMS + 5], thing[SUMS + 6]
         thing[SUMS] = fade * one
         thing[SUMS + 1] = fade * (t - duration_s * one)
         thing[SUMS + 2] = fade * (tt - 2.0 * duration_s * t + duration_s * duration_s * one)
@@ -122,7 +125,7 @@ def move_on(things, velocity, duration_s):
         thing[SUMS + 4] = fade * y
         thing[SUMS + 5] = fade * (tx - duration_s * x)
         thing[SUMS + 6] = fade * (ty - duration_s * y)
-        thing[SUMS + 7] = fade * square
+        thing[SUMS + 7] = fade * thing[SUMS + 7]
         thing[AGE] += duration_s
         thing[HIDDEN] += duration_s
 
@@ -131,7 +134,8 @@ def move_on(things, velocity, duration_s):
 def associate(at, things, same):
     """Write which of the known things each of those at (M, 2) is, nearest pairs first; -1 for new ones."""
     taken = np.zeros(things.shape[0], np.bool_)
-    same[:] = -1
+    for i in range(at.shape[0]):
+        same[i] = -1
     while True:
         nearest, new, old = WALKERS_STRIDE_M, -1, -1
         for i in range(at.shape[0]):
@@ -157,19 +161,19 @@ def judge(thing, velocity, fastest_m_s, unseen, duration_s):
     As fast as a standing thing passes, the other way, goes the laser: along `unseen` (K, 2) anything that it
     can, elsewhere with `velocity` (2,).
     """
-    laser = np.empty(2)
-    slack = 2.0 * speed_of(thing, laser)
-    laser *= -1.0
+    passing = np.empty(2)
+    slack = 2.0 * speed_of(thing, passing)
+    laser_x, laser_y = -passing[0], -passing[1]
     # Out by how much, in the direction where it is out by most: what is neither clearly is not known.
     out = 0.0
-    off_x, off_y = laser[0] - velocity[0], laser[1] - velocity[1]
+    off_x, off_y = laser_x - velocity[0], laser_y - velocity[1]
     fast = max(FAST_M_S, FASTER * fastest_m_s) + ODD_M_S
     for k in range(unseen.shape[0]):
         dx, dy = unseen[k, 0], unseen[k, 1]
         usual = dx * velocity[0] + dy * velocity[1]
         low = -fast if usual < ODD_M_S else -ODD_M_S
         high = fast if usual > -ODD_M_S else ODD_M_S
-        along = dx * laser[0] + dy * laser[1]
+        along = dx * laser_x + dy * laser_y
         out = max(out, low - along, along - high)
         aside = dx * off_x + dy * off_y
         off_x -= aside * dx
@@ -183,6 +187,13 @@ def judge(thing, velocity, fastest_m_s, unseen, duration_s):
         thing[STOOD] += duration_s
         if thing[STOOD] >= LATCH_S:
             thing[KIND] = STANDS
+
+
+@njit("void(f8[:,::1], i8, f8[:,::1], i8)", cache=True, nogil=True)
+def take_over(things, old, after, new):
+    """Copy a row; a slice assigned to a slice would take seconds longer to compile."""
+    for m in range(WIDTH):
+        after[new, m] = things[old, m]
 
 
 @njit(
@@ -203,7 +214,8 @@ def look(points, spans_m, yaw_rad, velocity, fastest_m_s, unseen, duration_s, th
             members[numbers[k]] += 1.0
     same = np.empty(count, np.int64)
     for k in range(count):
-        at[k] /= members[k]
+        at[k, 0] /= members[k]
+        at[k, 1] /= members[k]
     associate(at, things, same)
     hidden = np.ones(things.shape[0], np.bool_)
     for k in range(count):
@@ -217,7 +229,7 @@ def look(points, spans_m, yaw_rad, velocity, fastest_m_s, unseen, duration_s, th
     for k in range(count):
         thing, x, y = after[k], at[k, 0], at[k, 1]
         if same[k] >= 0:
-            thing[:] = things[same[k]]
+            take_over(things, same[k], after, k)
         else:
             # The second leg of one who walks is no new thing.
             thing[STOOD], thing[KIND] = LATCH_S, NEW
@@ -234,7 +246,7 @@ def look(points, spans_m, yaw_rad, velocity, fastest_m_s, unseen, duration_s, th
     kept = count
     for j in range(things.shape[0]):
         if hidden[j]:
-            after[kept] = things[j]
+            take_over(things, j, after, kept)
             kept += 1
     for k in range(points.shape[0]):
         kinds[k] = WALL if numbers[k] < 0 else int(after[numbers[k], KIND])

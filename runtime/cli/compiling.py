@@ -16,9 +16,9 @@ from runtime.clock import Clock
 from runtime.supervisor import child_environment
 
 CHAINS: tuple[tuple[float, tuple[str, ...]], ...] = (
-    (13.0, ("dpslam.grid", "dpslam.laser_model", "dpslam.writing", "dpslam.alignment", "dpslam.kernels")),
+    (8.5, ("dpslam.grid", "dpslam.laser_model", "dpslam.writing", "dpslam.alignment", "dpslam.kernels")),
     (
-        16.0,
+        13.5,
         (
             "evolution_kernels",
             "ndt_kernels",
@@ -30,11 +30,11 @@ CHAINS: tuple[tuple[float, tuple[str, ...]], ...] = (
             "dpslam.settled_kernels",
         ),
     ),
-    (6.5, ("smoothing_kernels",)),
-    (3.0, ("wide_match_kernels",)),
-    (2.5, ("saliency_kernels",)),
-    (2.0, ("dpslam.ancestry",)),
-    (3.5, ("walker_kernels",)),
+    (3.5, ("smoothing_kernels",)),
+    (2.2, ("wide_match_kernels",)),
+    (2.2, ("saliency_kernels",)),
+    (2.2, ("dpslam.ancestry",)),
+    (4.0, ("walker_kernels",)),
 )
 """CPU seconds that each chain takes, of which only the ratios count; and its modules of `processing`,
 who uses another's loops after it."""
