@@ -184,7 +184,7 @@ class Recovery:
         reach_m = REACH_M + SPEED_M_S * min(self.since_s, PATIENCE_S)
         reach_rad = min(REACH_RAD + TURN_RAD_S * self.since_s, np.pi)
         window = (guess, reach_m, reach_rad, LEAST_FIT)
-        result = wide_match.search(self._field, query, *window, APART_M, APART_RAD)
+        result = wide_match.Window(self._field, query, *window, APART_M, APART_RAD, most=2).search()
         if result is None:
             return []
         places = [result.best] if result.rival is None else [result.best, result.rival]

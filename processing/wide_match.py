@@ -73,40 +73,6 @@ def build_field(
     return Field(levels, resolution_m, origin)
 
 
-def search(
-    field: Field,
-    points: NDArray[np.float64],
-    map_t_guess: Pose,
-    reach_m: float,
-    reach_rad: float,
-    least_score: float,
-    apart_m: float = 0.6,
-    apart_rad: float = 0.25,
-    least_rival: float | None = None,
-) -> Search | None:
-    """Find the place within the window around a guess where the points fit best, and its rival.
-
-    Args:
-        field: Of the map.
-        points: (N, 2) m, in their own frame, N >= 1.
-        map_t_guess: Middle of the window.
-        reach_m: Half the side of the window.
-        reach_rad: Half its width in rotation.
-        least_score: Places below it are nobody's.
-        apart_m: A rival lies at least so far from the best, or
-        apart_rad: is turned by at least so much.
-        least_rival: What a rival must reach, if it is another score than the best place's.
-
-    Returns:
-        None when no place of the window reaches `least_score`.
-    """
-    window = Window(
-        field, points, map_t_guess, reach_m, reach_rad, least_score, apart_m, apart_rad, 2, 0.0, least_rival
-    )
-    window.go_on()
-    return window.best_and_rival()
-
-
 class Window:
     """The search for the places of a window where the points fit; it may be left off and gone on with.
 
@@ -184,8 +150,9 @@ class Window:
             self._turn = progress[0] = 0
         return True
 
-    def best_and_rival(self) -> Search | None:
-        """Return the best place and the one after it; None if there is none."""
+    def search(self) -> Search | None:
+        """Search to the end; return the best place and the one after it, None if there is none."""
+        self.go_on()
         if not self.places:
             return None
         return Search(self.places[0], self.places[1] if len(self.places) > 1 else None)

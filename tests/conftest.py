@@ -1,7 +1,6 @@
 """Two workers side by side (`pytest -n 2`): whole robots one by one, all other tests a file at a time."""
 
 import os
-from pathlib import Path
 
 import pytest
 
@@ -10,6 +9,7 @@ from runtime.cli.compiling import compile_all
 ROBOTS = {
     f"test_{name}.py"
     for name in (
+        "create_stop",
         "demo",
         "docs",
         "pages_walked",
@@ -46,5 +46,5 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the robots first and together, every other file by itself."""
     items.sort(key=lambda item: item.path.name not in ROBOTS)
     for item in items:
-        name = Path(item.path).name
+        name = item.path.name
         item.add_marker(pytest.mark.xdist_group("robots" if name in ROBOTS else name))

@@ -67,7 +67,7 @@ class Closing:
 
     def found(self) -> Search | None:
         """Return the best place of the key scan at which it began, and its rival; None if there is none."""
-        return self._window.best_and_rival()
+        return self._window.search()
 
     def carried(self, place: Pose, path: Pose) -> Pose:
         """Return where the newest key scan of a path (K, 3) is, if the one of the question is at `place`."""

@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 
 from processing.se2 import between, invert, transform
-from processing.wide_match import build_field, search
+from processing.wide_match import Window, build_field
 
 TURN = np.array((0.0, 0.0, np.pi))
+
+
+def search(*window, **settings):
+    return Window(*window, most=2, **settings).search()
 
 
 def room(width_m, depth_m, spacing_m=0.04):

@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from processing.se2 import compose, invert, transform
-from processing.wide_match import LEVELS, Window, build_field, search
+from processing.wide_match import LEVELS, Window, build_field
+
+
+def search(*window, **settings):
+    return Window(*window, most=2, **settings).search()
 
 
 def walls(*segments, spacing_m=0.04):
