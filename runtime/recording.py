@@ -4,6 +4,7 @@ Nothing here waits for the bus or is waited for by it: whoever feeds a recording
 what did not fit in them is counted into the file, once a second, as a message of its own.
 """
 
+import re
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -21,6 +22,8 @@ END_RECORD = "hallway.end"
 DISK_FULL = "the disk was full"
 FLUSH_NS = 1_000_000_000
 RING_FILES = 10
+SPLIT_DIGITS, RING_DIGITS = 3, 8
+"""Of the numbers in the names of files; a ring goes on for weeks, and its names must sort."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +69,7 @@ class Counts:
 
     written: int = 0
     unwritten: int = 0
-    """Messages that came after the disk was full."""
+    """Messages that came when nothing more could be written, or that did not get to the disk before."""
     lost: dict[str, int] = field(default_factory=dict)
     """For each topic, messages that never came here or gave way in the mailbox."""
 
@@ -105,7 +108,10 @@ class Recording:
         self._splitting = bool(config.file_mb or config.file_s)
         self._status = McapChannel(f"/{robot}/{STATUS_TOPIC}", STATUS_TYPE)
         self.counts = Counts()
-        self.full = False
+        self.stopped = ""
+        """Why nothing more is written, in words; empty while all is well."""
+        self.topics: set[str] = set()
+        """Topics of which something came, without the robot's name."""
         path.parent.mkdir(parents=True, exist_ok=True)
         # A ring also bounds what an earlier recorder of this run has left.
         self.files: list[Path] = _earlier(path) if config.ring_s else []
@@ -113,20 +119,24 @@ class Recording:
         self._flushed_ns = now_ns
         self._flushed_count = 0
         self._writer: McapWriter | None = None
-        if not self._no_space():
-            self._open(now_ns)
+        try:
+            if not self._no_space():
+                self._open(now_ns)
+        except OSError as error:
+            self._give_up(error)
 
     def add(self, channel: McapChannel, sequence: int, log_ns: int, publish_ns: int, payload: bytes) -> None:
-        """Write one message; after the disk is full it is only counted."""
+        """Write one message; when nothing more can be written it is only counted."""
+        self.topics.add(channel.name)
         if self._writer is None:
             self.counts.unwritten += 1
             return
         try:
             self._writer.add(channel, sequence, log_ns, publish_ns, payload)
             self.counts.written += 1
-        except OSError:
+        except OSError as error:
             self.counts.unwritten += 1
-            self._give_up()
+            self._give_up(error)
 
     def tick(self, now_ns: int, lost: Mapping[str, int]) -> None:
         """Do what is due; call it some times a second.
@@ -143,19 +153,22 @@ class Recording:
             self._write_status(self._writer, now_ns)
             self._writer.flush(to_disk=True)
             self._flushed_count = self.counts.written
-        except OSError:
-            self._give_up()
-            return
-        if self._no_space():
-            self._finish(now_ns)
-        elif self._split_due(now_ns):
-            self._finish(now_ns)
-            self._open(now_ns)
+            if self._no_space():
+                self._finish(now_ns)
+            elif self._split_due(now_ns):
+                self._finish(now_ns)
+                self._open(now_ns)
+        except OSError as error:
+            self._give_up(error)
 
     def close(self, now_ns: int) -> None:
         """End the recording; the last file gets its name."""
-        if self._writer is not None:
+        if self._writer is None:
+            return
+        try:
             self._finish(now_ns)
+        except OSError as error:
+            self._give_up(error)
 
     def _open(self, now_ns: int) -> None:
         path = self._free_path()
@@ -190,8 +203,7 @@ class Recording:
         return path
 
     def _numbered(self, number: int) -> Path:
-        # A ring goes on for weeks, and its names must sort.
-        digits = 8 if self._config.ring_s else 3
+        digits = RING_DIGITS if self._config.ring_s else SPLIT_DIGITS
         return self._base.with_name(f"{self._base.stem}_{number:0{digits}d}{self._base.suffix}")
 
     def _split_due(self, now_ns: int) -> bool:
@@ -201,29 +213,28 @@ class Recording:
         return by_size or (bool(c.file_s) and now_ns - self._began_ns >= c.file_s * 1e9)
 
     def _no_space(self) -> bool:
-        self.full = self._free_bytes(self._base.parent) < self._config.min_free_mb * 1e6
-        return self.full
+        if self._free_bytes(self._base.parent) < self._config.min_free_mb * 1e6:
+            self.stopped = DISK_FULL
+        return bool(self.stopped)
 
     def _finish(self, now_ns: int) -> None:
         assert self._writer is not None
-        writer, self._writer = self._writer, None
-        why = {"ended_ns": str(now_ns), "ended": DISK_FULL if self.full else "as asked"}
-        try:
-            self._write_status(writer, now_ns)
-            writer.finish({END_RECORD: {**self._summary(), **why}})
-            self._flushed_count = self.counts.written
-        except OSError:
-            writer.abandon()
-            self._give_up()
+        why = {"ended_ns": str(now_ns), "ended": self.stopped or "as asked"}
+        self._write_status(self._writer, now_ns)
+        self._writer.finish({END_RECORD: {**self._summary(), **why}})
+        self._writer = None
+        self._flushed_count = self.counts.written
 
-    def _give_up(self) -> None:
-        """Stop after a write error; what was flushed stays readable under its unfinished name."""
-        self.full = True
+    def _give_up(self, error: OSError) -> None:
+        """Stop after an error of the disk; what was flushed stays readable under its unfinished name."""
+        self.stopped = error.strerror or str(error)
         # Nobody knows how much of the last second still got through: all of it counts as lost.
         self.counts.unwritten += self.counts.written - self._flushed_count
         self.counts.written = self._flushed_count
         if self._writer is not None:
             self._writer.abandon()
+            if self._writer.active_path.exists():
+                self.files[-1] = self._writer.active_path
             self._writer = None
 
     def _summary(self) -> dict[str, str]:
@@ -241,12 +252,19 @@ class Recording:
         writer.add(self._status, 0, now_ns, now_ns, payload)
 
 
+def ring_files(path: Path) -> list[Path]:
+    """Return what stands in a ring of this name now, whole, cut or being written, oldest first."""
+    ours = re.compile(
+        rf"{re.escape(path.stem)}_\d{{{RING_DIGITS}}}{re.escape(path.suffix)}({re.escape(ACTIVE_SUFFIX)})?"
+    )
+    found = path.parent.iterdir() if path.parent.is_dir() else ()
+    return sorted(one for one in found if ours.fullmatch(one.name))
+
+
 def _earlier(path: Path) -> list[Path]:
-    """Return the files that an earlier recording left under these names, whole or cut, oldest first."""
-    found = path.parent.glob(f"{path.stem}_*.mcap*")
-    return sorted({one.with_name(one.name.removesuffix(ACTIVE_SUFFIX)) for one in found})
+    """Return the files that an earlier recorder left in the ring, by the names they have when whole."""
+    return sorted({one.with_name(one.name.removesuffix(ACTIVE_SUFFIX)) for one in ring_files(path)})
 
 
 def _number_of(path: Path) -> int:
-    digits = path.stem.rsplit("_", 1)[-1]
-    return int(digits) if digits.isdigit() else 0
+    return int(path.stem.rsplit("_", 1)[-1])

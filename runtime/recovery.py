@@ -2,12 +2,15 @@
 
 import errno
 import os
+import re
 import shutil
 import time
 from pathlib import Path
 
+from runtime.formats.errors import FormatError
 from runtime.formats.mcap_log import ACTIVE_SUFFIX, McapReader
-from runtime.formats.mcap_writer import McapWriter
+from runtime.formats.mcap_writer import McapWriter, is_written
+from runtime.recording import SPLIT_DIGITS, ring_files
 
 
 def keep_ring(ring: Path, folder: Path, within_s: float) -> list[Path]:
@@ -16,7 +19,7 @@ def keep_ring(ring: Path, folder: Path, within_s: float) -> list[Path]:
     The file that is being written is waited for, so that what follows the call for a moment is in it too.
 
     Args:
-        ring: Folder in which a recorder keeps its ring.
+        ring: `X.mcap` of a recorder whose ring is in the files `X_NNNNNNNN.mcap`.
         folder: Where the files are kept.
         within_s: How long the newest file is waited for; it is kept as it is then.
 
@@ -25,7 +28,7 @@ def keep_ring(ring: Path, folder: Path, within_s: float) -> list[Path]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     kept = []
-    for path in sorted(ring.glob("*.mcap*")):
+    for path in ring_files(ring):
         target = folder / path.name
         try:
             os.link(path, target)
@@ -38,11 +41,52 @@ def keep_ring(ring: Path, folder: Path, within_s: float) -> list[Path]:
     for index, path in enumerate(kept):
         if path.suffix != ACTIVE_SUFFIX:
             continue
-        while (ring / path.name).exists() and time.monotonic() < end:
+        written = ring.with_name(path.name)
+        while written.exists() and time.monotonic() < end:
             time.sleep(0.1)
-        if not (ring / path.name).exists() and McapReader.is_whole(path):
+        if not written.exists() and McapReader.is_whole(path):
             kept[index] = path.rename(path.with_suffix(""))
     return kept
+
+
+def recover_cut(recording: Path) -> list[str]:
+    """Make whole files of those that earlier recordings of this name left unfinished.
+
+    What another recorder still writes is left alone, and so is what cannot be read or made whole.
+
+    Args:
+        recording: `X.mcap`; its own unfinished file is meant, and those of its parts `X_NNN.mcap`.
+
+    Returns:
+        For each unfinished file what became of it, in words.
+    """
+    name = re.compile(
+        rf"{re.escape(recording.stem)}(_\d{{{SPLIT_DIGITS},}})?\.mcap{re.escape(ACTIVE_SUFFIX)}"
+    )
+    found = recording.parent.iterdir() if recording.parent.is_dir() else ()
+    told = (_recover(cut) for cut in sorted(found) if name.fullmatch(cut.name))
+    return [line for line in told if line]
+
+
+def _recover(cut: Path) -> str:
+    """Make a cut file whole and say so; nothing is said of a file that is not cut."""
+    whole = cut.with_name(cut.name.removesuffix(ACTIVE_SUFFIX))
+    try:
+        with cut.open("r+b") as file:
+            if whole.exists() or is_written(file):
+                return ""
+            if not file.read(1):
+                cut.unlink()
+                return f"{cut}: was empty, from a recorder that was killed as it began; taken away"
+            count = salvage(cut)[1]
+            cut.unlink()
+    except FileNotFoundError:
+        return ""  # whoever wrote it has just finished it
+    except FormatError as error:
+        return f"{error}; left as it is"
+    except OSError as error:
+        return f"{cut}: cannot be recovered: {error.strerror}; left as it is"
+    return f"{whole}: {count} messages recovered from a recording that was cut"
 
 
 def salvage(path: Path, target: Path | None = None) -> tuple[Path, int, list[str]]:
@@ -56,7 +100,7 @@ def salvage(path: Path, target: Path | None = None) -> tuple[Path, int, list[str
         The new file, how many messages it holds, and what of the old one could not be read.
 
     Raises:
-        FormatError: It is no MCAP file.
+        FormatError: It is no MCAP file, or cannot be read back.
         FileExistsError: The target exists.
     """
     if target is None:
@@ -71,15 +115,24 @@ def salvage(path: Path, target: Path | None = None) -> tuple[Path, int, list[str
     about = dict(state.metadata)
     about["hallway.salvaged"] = {"from": path.name, "troubles": "; ".join(state.troubles()) or "none"}
     partial = target.with_name(f".{target.name}.salvage")
+    partial.with_name(partial.name + ACTIVE_SUFFIX).unlink(missing_ok=True)  # of one that was killed at it
     writer = McapWriter(partial, about, state.attachments)
-    count = 0
-    for message in reader.messages():
-        writer.add(message.channel, message.sequence, message.log_ns, message.publish_ns, message.payload)
-        count += 1
-    writer.finish()
-    again = McapReader(partial)
-    found = sum(1 for _ in again.messages())
-    if found != count or again.state.troubles():
-        raise AssertionError(f"{partial}: {found} of {count} messages read back after recovery")
+    try:
+        count = 0
+        for message in reader.messages():
+            writer.add(message.channel, message.sequence, message.log_ns, message.publish_ns, message.payload)
+            count += 1
+        writer.finish()
+        again = McapReader(partial)
+        found = sum(1 for _ in again.messages())
+        if found != count or again.state.troubles():
+            raise FormatError(
+                path, f"{found} of {count} messages read back after recovery; is the disk sound?"
+            )
+    except Exception:
+        writer.abandon()
+        for file in (partial, writer.active_path):
+            file.unlink(missing_ok=True)
+        raise
     partial.rename(target)
     return target, count, state.losses()

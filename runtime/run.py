@@ -16,6 +16,7 @@ from runtime.bus import Bus
 from runtime.clock import Clock
 from runtime.graph import Graph
 from runtime.health import Health, Vital
+from runtime.identity import Identity, left_in, tell
 from runtime.node import BusPort
 from runtime.offset import tell_time
 from runtime.process import LogFormat
@@ -66,6 +67,7 @@ class Run:
     ) -> None:
         self.graph, self.run_dir, self.results_dir = graph, run_dir, results_dir
         self.clock = Clock()
+        Identity.of_run(graph.seed, graph.domain, self.clock.offset_ns).leave(run_dir)
         self.began = time.monotonic()
         self.events: list[Event] = []
         self._tell = on_event
@@ -140,6 +142,7 @@ class Run:
         )
         self._health = Health(bus, self.graph.robot, self.graph.domain)
         tell_time(bus, self.graph.robot, self.clock)
+        tell(bus, self.graph.robot, left_in(self.run_dir))
         self._port.ready()
 
     def _report(self, port: BusPort) -> None:

@@ -75,12 +75,11 @@ def running(robot: str) -> Path:
     return path
 
 
-@contextlib.contextmanager
-def claimed(robot: str) -> Iterator[Path]:
-    """Make the directory of a robot, empty and locked; take it away afterwards.
+def private(robot: str) -> Path:
+    """Make the directory of a robot, for its owner's eyes only, if it is not there.
 
     Raises:
-        ConfigError: The robot runs already, or the directory belongs to somebody else.
+        ConfigError: It belongs to somebody else.
     """
     path = run_dir(robot)
     for part in (base_dir(), path):
@@ -89,6 +88,17 @@ def claimed(robot: str) -> Iterator[Path]:
         if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
             raise ConfigError(f"{part}: must be a directory of user {os.getuid()}, and is not")
         part.chmod(0o700)
+    return path
+
+
+@contextlib.contextmanager
+def claimed(robot: str) -> Iterator[Path]:
+    """Make the directory of a robot, empty and locked; take it away afterwards.
+
+    Raises:
+        ConfigError: The robot runs already, or the directory belongs to somebody else.
+    """
+    path = private(robot)
     lock = os.open(base_dir() / f"{robot}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
         try:

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -19,12 +20,15 @@ KEEP_WAIT_S = 90.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
     parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
+    parser.add_argument("--domain", type=int, metavar="N", help="ROS domain (default the robot's)")
     parser.add_argument("--out", type=Path, metavar="F.mcap", help="default recordings/NAME-TIME.mcap")
     parser.add_argument("--topics", nargs="+", default=[], metavar="T", help="which topics (default all)")
     parser.add_argument("--duration", type=float, default=0.0, metavar="S", help="end after S seconds")
     parser.add_argument("--split-mb", type=float, default=0.0, metavar="MB", help="new file after so much")
     parser.add_argument("--split-s", type=float, default=0.0, metavar="S", help="new file after so long")
-    parser.add_argument("--ring", type=float, default=0.0, metavar="S", help="keep only the last S seconds")
+    parser.add_argument(
+        "--ring", type=float, default=0.0, metavar="S", help="keep only the last S seconds, in a folder"
+    )
     parser.add_argument(
         "--keep", action="store_true", help="keep what is in the robot's ring now, in the folder --out"
     )
@@ -40,17 +44,37 @@ def run(args: argparse.Namespace) -> int:
     config = _config(args, out)
     from runtime import gate, rundir
     from runtime.bus_zenoh import ZenohBus
+    from runtime.nodes.recorder import path_of
+    from runtime.recovery import recover_cut
+
+    session = gate.visit(args.robot)
+    for line in recover_cut(path_of(config, out.parent)):
+        if not args.json:
+            print(line, file=sys.stderr)
+    if args.ring:
+        rundir.private(args.robot)
+    with ZenohBus(session) as bus:
+        return _record(args, config, bus, gate.is_guest(session))
+
+
+def _record(args: argparse.Namespace, config: Any, bus: Any, guest: bool) -> int:
+    from runtime import rundir
+    from runtime.clock import Clock
     from runtime.node import BusPort
     from runtime.nodes import recorder
 
-    session = gate.visit(args.robot)
-    _recover(out, args.json)
+    identity, about = _run_of(args.robot, bus, guest)
+    if args.domain is not None:
+        identity = replace(identity, domain=args.domain)
     port = BusPort(
         f"record_{os.getpid()}",
-        lambda: ZenohBus(session),
-        guest=gate.is_guest(session),
+        lambda: bus,
+        guest=guest,
         subscribes=recorder.SUBSCRIBES,
         robot=args.robot,
+        domain=identity.domain,
+        # On the robot's own machine, arrival and publication are read from one clock.
+        clock=Clock(None if guest else identity.clock_offset_ns),
         run_dir=rundir.run_dir(args.robot),
     )
     presence = rundir.Presence(args.robot)
@@ -61,27 +85,47 @@ def run(args: argparse.Namespace) -> int:
         port.stop()
 
     def turn(recording: Any) -> None:
-        if presence.gone:
+        if presence.gone or recording.stopped:
             port.stop()
         if not args.json and time.monotonic() - said[0] > 5.0:
             said[0] = time.monotonic()
-            _say(recording)
+            _say(recording, lacks_scans(config, recording))
 
     said = [time.monotonic()]
     before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM)}
     try:
         with port:
-            recording = recorder.record(port, config, turn)
+            recording = recorder.record(port, config, turn, identity, about)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+    where = f"robot {args.robot!r} in ROS domain {identity.domain}"
+    return _report(recording, lacks_scans(config, recording), where, args.json) or (130 if interrupted else 0)
+
+
+def _report(recording: Any, lacking: bool, where: str, as_json: bool) -> int:
+    """Say what came of it; 4 if anything was lost."""
     counts = recording.counts
     report = {"files": [str(path) for path in recording.files], "written": counts.written}
-    report |= {"lost": counts.total_lost, "disk_full": recording.full}
-    print(json.dumps(report)) if args.json else _say(recording)
-    if counts.total_lost or recording.full:
-        return int(DataLostError.exit_code)
-    return 130 if interrupted else 0
+    report |= {"lost": counts.total_lost, "stopped": recording.stopped}
+    print(json.dumps(report)) if as_json else _say(recording, lacking)
+    if lacking:
+        print(f"hallway record: no scan came from {where}; does its laser run?", file=sys.stderr)
+    return int(DataLostError.exit_code) if counts.total_lost or recording.stopped else 0
+
+
+def _run_of(robot: str, bus: Any, guest: bool) -> tuple[Any, dict[str, str]]:
+    """Return what is known of the run that is recorded, and of its clock where that is not ours."""
+    from runtime import identity, rundir
+    from runtime.clock import Clock
+    from runtime.offset import measured
+
+    if not guest:
+        return identity.left_in(rundir.run_dir(robot)), {}
+    offset = measured(bus, robot, Clock())
+    ahead, error = ("unknown", "unknown") if offset is None else (offset.offset_ns, offset.round_trip_ns // 2)
+    about = {"robot.clock_ahead_ns": str(ahead), "robot.clock_ahead_error_ns": str(error)}
+    return identity.told(bus.ask, robot), about
 
 
 def _config(args: argparse.Namespace, out: Path) -> Any:
@@ -102,38 +146,31 @@ def _keep(args: argparse.Namespace, folder: Path) -> int:
     from runtime.nodes.recorder import RING
     from runtime.recovery import keep_ring
 
-    ring = rundir.running(args.robot) / RING
-    if not ring.is_dir():
+    ring = rundir.run_dir(args.robot) / RING
+    if not ring.is_symlink():
         raise ConfigError(
             f"robot {args.robot!r} keeps no ring here; start one with `hallway record --ring 300`"
         )
     if folder.exists():
         raise ConfigError(f"{folder}: exists already; choose another folder with --out")
-    files = keep_ring(ring, folder, within_s=KEEP_WAIT_S)
+    files = keep_ring(ring.readlink(), folder, within_s=KEEP_WAIT_S)
     report = {"folder": str(folder), "files": [path.name for path in files]}
     print(json.dumps(report) if args.json else f"{folder}/: {', '.join(report['files']) or 'nothing'}")
     return 0 if files else 1
 
 
-def _recover(out: Path, quiet: bool) -> None:
-    """Make whole files of those that an earlier recording of this name left unfinished."""
-    from runtime.recovery import salvage
-
-    for cut in sorted(out.parent.glob(f"{out.stem}*.mcap.active")) if out.parent.is_dir() else []:
-        whole = cut.with_name(cut.name.removesuffix(".active"))
-        if whole.exists():
-            continue
-        _, count, _ = salvage(cut)
-        cut.unlink()
-        if not quiet:
-            print(f"{whole}: {count} messages recovered from a recording that was cut", file=sys.stderr)
+def lacks_scans(config: Any, recording: Any) -> bool:
+    """Whether scans should be in a recording, and none has come so far."""
+    return "scan" in (config.topics or ("scan",)) and "scan" not in recording.topics
 
 
-def _say(recording: Any) -> None:
+def _say(recording: Any, lacking: bool) -> None:
     counts = recording.counts
     text = f"{counts.written} messages in {', '.join(map(str, recording.files)) or 'no file'}"
     if counts.total_lost:
         text += f"; {counts.total_lost} LOST"
-    if recording.full:
-        text += "; the disk is full, nothing more is recorded"
+    if lacking:
+        text += "; no scan so far"
+    if recording.stopped:
+        text += f"; nothing more is recorded: {recording.stopped}"
     print(text, file=sys.stderr, flush=True)

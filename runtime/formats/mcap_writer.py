@@ -1,9 +1,14 @@
-"""Writes MCAP files: what was flushed survives a kill, and a file has its own name only when it is whole."""
+"""Writes MCAP files: what was flushed survives a kill, and a file has its own name only when it is whole.
 
+A file is locked as long as it is written, so that whoever recovers cut files knows which ones nobody writes.
+"""
+
+import contextlib
+import fcntl
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
@@ -26,15 +31,20 @@ class McapWriter:
     ) -> None:
         self.path = path
         self.active_path = path.with_name(path.name + ACTIVE_SUFFIX)
-        self._file = self.active_path.open("xb")
+        self._file = _locked(self.active_path)
         self._writer: Any = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start(profile="ros2", library=LIBRARY)
-        for name, values in (about or {}).items():
-            self._writer.add_metadata(name, dict(values))
-        self._attach(attachments)
         self._schemas: dict[str, int] = {}
         self._channels: dict[tuple[str, str, str], int] = {}
-        self.flush()
+        try:
+            self._writer.start(profile="ros2", library=LIBRARY)
+            for name, values in (about or {}).items():
+                self._writer.add_metadata(name, dict(values))
+            self._attach(attachments)
+            self.flush()
+        except OSError:
+            self.abandon()
+            self.active_path.unlink(missing_ok=True)  # there is nothing in it
+            raise
 
     @property
     def bytes_written(self) -> int:
@@ -68,15 +78,17 @@ class McapWriter:
         self._writer.finish()
         self._file.flush()
         os.fsync(self._file.fileno())
-        self._file.close()
+        # Closed after it has its name: with its lock gone before, it would look like a file that was cut.
         self.active_path.rename(self.path)
+        self._file.close()
         folder = os.open(self.path.parent, os.O_RDONLY)
         os.fsync(folder)
         os.close(folder)
 
     def abandon(self) -> None:
         """Close without an index, as after a full disk; what was flushed can be read."""
-        self._file.close()
+        with contextlib.suppress(OSError):  # what it still held goes nowhere either
+            self._file.close()
 
     def _attach(self, attachments: Mapping[str, bytes] | None) -> None:
         for name, data in (attachments or {}).items():
@@ -97,3 +109,24 @@ class McapWriter:
         named |= {key: value for key, value in channel.metadata.items() if key != QOS_KEY}
         self._writer.add_metadata(CHANNEL_RECORD, named)
         return int(number)
+
+
+def is_written(file: BinaryIO) -> bool:
+    """Whether somebody writes this file; if nobody does, it is ours until it is closed."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # locked; or a disk without locks, of which nothing is known
+        return True
+    return False
+
+
+def _locked(path: Path) -> BinaryIO:
+    """Make a file of this name, which nobody has yet, and lock it."""
+    while True:
+        file = path.open("xb")
+        with contextlib.suppress(OSError):  # a disk without locks is written all the same
+            fcntl.flock(file, fcntl.LOCK_EX)
+        # Somebody who takes empty files away may have been quicker than the lock.
+        if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+            return file
+        file.close()

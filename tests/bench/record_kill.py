@@ -21,6 +21,7 @@ import sys, threading, time
 sys.path.insert(0, {root!r})
 from runtime.bus_memory import MemoryBus
 from runtime.formats.mcap_writer import McapWriter
+from runtime.identity import Identity
 from runtime.node import BusPort
 from runtime.nodes import recorder
 from runtime.recording import RecordingConfig
@@ -53,7 +54,7 @@ def turn(now):
     if not recording:
         recording.append(now)
         threading.Thread(target=publish, daemon=True).start()
-recorder.record(port, config, turn)
+recorder.record(port, config, turn, Identity())
 """
 
 

@@ -4,16 +4,19 @@ The two namespaces are joined by one wire and see nothing else. `CI_REQUIRE_NETN
 a skip, when this machine does not let us make them.
 """
 
+import base64
 import json
 import os
 import subprocess
 import sys
 import textwrap
+import time
 from pathlib import Path
 
 import pytest
 
 from runtime import keys
+from runtime.formats.mcap_log import McapReader
 
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT, LAPTOP = "10.77.31.1", "10.77.31.2"
@@ -28,6 +31,7 @@ ROBOT_SIDE = """
     from runtime.bus import Mailbox
     from runtime.bus_zenoh import ZenohBus
     from runtime.clock import Clock
+    from runtime.identity import Identity, tell
     from runtime.node import BusPort
     from runtime.offset import tell_time
     from runtime.tiles import Tiles
@@ -42,7 +46,9 @@ ROBOT_SIDE = """
         with BusPort("base", lambda: peer, subscribes=("cmd_vel",), publishes=("scan", "map")) as port:
             commands = port.subscribe("cmd_vel", keep=256, raw=True)
             port.ready()
-            tell_time(peer, "robot", Clock())
+            ahead = Clock(Clock().offset_ns + 3_600_000_000_000)
+            tell_time(peer, "robot", ahead if "ahead" in sys.argv else Clock())
+            tell(peer, "robot", Identity(seed=5, version="1.2", host="onboard", config="nodes: {}"))
             secret = peer.publisher("0/other/secret")
             tiles = Tiles(250_000)
             cells = np.random.default_rng(1).integers(0, 101, (300, 300))
@@ -164,6 +170,7 @@ class Robot:
 
     def __init__(self, folder, namespaces):
         self.folder, (self.here, self.there) = folder, namespaces
+        self.process = None
         (folder / "run").mkdir(mode=0o700)
 
     def environment(self, user):
@@ -183,7 +190,9 @@ class Robot:
             patch.setenv("HALLWAY_KEYS", str(self.folder / guest))
             keys.pair(file)
 
-    def __enter__(self):
+    def started(self, *words):
+        """Start the robot, which ends with the block; its log is in a file."""
+        log = (self.folder / "robot.log").open("w")
         self.process = subprocess.Popen(
             [
                 "ip",
@@ -195,16 +204,22 @@ class Robot:
                 textwrap.dedent(ROBOT_SIDE),
                 str(self.folder / "run"),
                 ROBOT,
+                *words,
             ],
             env=self.environment("owner"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            stderr=log,
             text=True,
         )
+        log.close()
         if self.process.stdout.readline() != "up\n":
             self.process.communicate()
-            raise AssertionError("the robot did not come up")
+            raise AssertionError((self.folder / "robot.log").read_text())
         return self
+
+    def __enter__(self):
+        return self if self.process is not None else self.started()
 
     def __exit__(self, *_):
         if self.process.poll() is None:
@@ -241,6 +256,14 @@ class Robot:
             command, env=self.environment(name), stdin=pipe, stdout=pipe, text=True, bufsize=1
         )
 
+    def typed(self, name, *words):
+        """Start a command as a guest types it."""
+        command = ["ip", "netns", "exec", self.there, sys.executable, "-m", "runtime.cli", *map(str, words)]
+        pipe = subprocess.PIPE
+        return subprocess.Popen(
+            command, env=self.environment(name), cwd=self.folder, stdout=pipe, stderr=pipe, text=True
+        )
+
     def commands(self):
         """End the robot; return how many commands reached its wheels."""
         out, _ = self.process.communicate("end\n", timeout=30)
@@ -265,6 +288,74 @@ def test_a_viewer_sees_everything_of_its_robot_and_drives_nothing(robot):
         assert seen["secrets"] == 0
         assert abs(seen["offset_ms"]) < 50  # one machine, two clocks of it
         assert robot.commands() == 0
+
+
+def test_a_guest_records_what_the_run_is_and_how_far_its_clock_is(robot, tmp_path):
+    robot.invite("anna", "viewer")
+    with robot.started("ahead"):
+        recorder = robot.typed("anna", "record", "--duration", "1", "--out", "a.mcap")
+        _, told = recorder.communicate(timeout=60)
+    assert recorder.returncode == 0, told
+    reader = McapReader(tmp_path / "a.mcap")
+    assert sum(message.channel.name == "scan" for message in reader.messages()) > 20
+    about = reader.state.metadata["hallway"]
+    assert (about["seed"], about["robot.version"], about["robot.host"]) == ("5", "1.2", "onboard")
+    assert reader.state.run_config == "nodes: {}"
+    off_s = (int(about["robot.clock_ahead_ns"]) - 3_600_000_000_000) / 1e9
+    assert abs(off_s) <= int(about["robot.clock_ahead_error_ns"]) / 1e9 + 0.05  # two clocks of one machine
+
+
+def test_a_guest_keeps_a_ring_of_its_own(robot, tmp_path):
+    robot.invite("anna", "viewer")
+    with robot:
+        recorder = robot.typed("anna", "record", "--ring", "10", "--duration", "0.5", "--out", "a.mcap")
+        _, told = recorder.communicate(timeout=60)
+        assert recorder.returncode == 0, told
+        keeper = robot.typed("anna", "record", "--keep", "--out", "kept")
+        _, told = keeper.communicate(timeout=60)
+        assert keeper.returncode == 0, told
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == ["a_00000000.mcap"]
+
+
+def test_no_secret_is_in_a_log_a_recording_or_a_list_of_processes(robot, tmp_path):
+    robot.invite("olga", "operator")
+    secrets = secrets_of(tmp_path)
+    assert len(secrets) >= 9
+    with robot:
+        recorder = robot.typed("olga", "record", "--duration", "2", "--out", "a.mcap")
+        running = b""
+        while recorder.poll() is None:
+            running += b"".join(map(command_line, Path("/proc").glob("[0-9]*")))
+            time.sleep(0.1)
+        said = "".join(recorder.communicate()).encode()
+        robot.invite("anna", "viewer")  # which the hub has to say something about
+        end = time.monotonic() + 20
+        while not (log := (tmp_path / "robot.log").read_bytes()) and time.monotonic() < end:
+            time.sleep(0.1)
+    assert b"runtime.hub" in running
+    assert b"a.mcap" in running
+    reader = McapReader(tmp_path / "a.mcap")
+    recorded = b"".join(message.payload for message in reader.messages())
+    recorded += repr(reader.state).encode()
+    for where in (running, said, log, recorded):
+        assert len(where) > 20
+        assert [secret for secret in secrets if secret in where] == []
+
+
+def secrets_of(folder):
+    """Return pieces of every private key that was made, as PEM and as the settings of a session have it."""
+    texts = [path.read_text() for path in (folder / "owner").rglob("*.key")]
+    texts += [keys.Invitation.read(path).key for path in folder.rglob("paired/*.json")]
+    pieces = [line for text in texts for line in text.splitlines() if not line.startswith("-----")]
+    pieces += [base64.b64encode(text.encode()).decode()[60:120] for text in texts]
+    return [piece.encode() for piece in pieces if len(piece) > 40]
+
+
+def command_line(process):
+    try:
+        return (process / "cmdline").read_bytes()
+    except OSError:
+        return b""  # it has ended
 
 
 def test_an_operator_sees_and_drives(robot):

@@ -4,16 +4,22 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from runtime import links, rundir
+from runtime.bus_zenoh import ZenohBus
 from runtime.cli import main
+from runtime.clock import Clock
 from runtime.formats.mcap_log import McapChannel, McapReader
 from runtime.formats.mcap_writer import McapWriter
+from runtime.identity import Identity
 from runtime.messages import LaserScan, encode, header
+from runtime.node import BusPort
 
 ROOT = Path(__file__).resolve().parents[2]
 S = 10**9
@@ -121,6 +127,62 @@ def test_what_cannot_be_played_is_one_line_and_exit_code_2(
     captured = capsys.readouterr()
     assert said in captured.err
     assert captured.err.count("\n") == 1
+
+
+@pytest.fixture
+def robot_in_domain_7(tmp_path, monkeypatch):
+    """A robot that says scans and whose directory tells what it is; its clock is an hour ahead."""
+    monkeypatch.setenv("HALLWAY_RUN", str(tmp_path / "run"))
+    ahead = Clock(Clock().offset_ns + 3600 * S)
+    leaving = threading.Event()
+
+    def speak(port):
+        while not leaving.wait(0.02):
+            port.publish_raw("scan", payload(1))
+
+    with rundir.claimed("ghost") as run_dir, ZenohBus(links.hub(run_dir)) as hub:
+        Identity(seed=5, domain=7, clock_offset_ns=ahead.offset_ns).leave(run_dir)
+        with BusPort("laser", lambda: hub, publishes=("scan",), robot="ghost", domain=7, clock=ahead) as port:
+            speaking = threading.Thread(target=speak, args=(port,))
+            speaking.start()
+            yield run_dir
+            leaving.set()
+            speaking.join()
+
+
+def record(tmp_path, *arguments):
+    code = main(["record", "--robot", "ghost", "--out", str(tmp_path / "a.mcap"), *arguments])
+    reader = McapReader(tmp_path / "a.mcap")
+    return code, [m for m in reader.messages() if m.channel.name == "scan"], reader.state
+
+
+def test_a_recording_is_made_by_the_domain_the_clock_and_the_seed_of_its_robot(
+    robot_in_domain_7, tmp_path, capsys
+):
+    code, scans, state = record(tmp_path, "--duration", "1")
+    assert code == 0
+    assert len(scans) > 10
+    assert scans[0].channel.metadata["zenoh_key"].startswith("7/ghost/scan/")
+    assert all(0 <= m.log_ns - m.publish_ns < 5 * S for m in scans)
+    assert state.run_seed == 5
+    assert "no scan" not in capsys.readouterr().err
+
+
+def test_a_recording_without_a_scan_says_so(robot_in_domain_7, tmp_path, capsys):
+    code, scans, _ = record(tmp_path, "--duration", "0.5", "--domain", "0")
+    assert (code, scans) == (0, [])
+    assert "no scan came from robot 'ghost' in ROS domain 0" in capsys.readouterr().err
+
+
+def test_a_ring_is_kept_by_its_name_and_nothing_else_of_its_folder(robot_in_domain_7, tmp_path, capsys):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "other.mcap").write_bytes(b"of somebody else")
+    assert main(["record", "--robot", "ghost", "--keep", "--out", str(tmp_path / "kept")]) == 2
+    assert "keeps no ring here" in capsys.readouterr().err
+    ring = ["--ring", "10", "--duration", "0.5", "--out", str(tmp_path / "a.mcap")]
+    assert main(["record", "--robot", "ghost", *ring]) == 0
+    assert main(["record", "--robot", "ghost", "--keep", "--out", str(tmp_path / "kept")]) == 0
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == ["a_00000000.mcap"]
 
 
 def test_recording_a_robot_that_does_not_run_is_one_line(tmp_path, monkeypatch, capsys):

@@ -1,5 +1,7 @@
 """Recordings: whole files for everybody, cut files up to the last flush, losses counted inside."""
 
+import errno
+
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -11,7 +13,7 @@ from runtime.formats.mcap_log import Gaps, McapChannel, McapReader
 from runtime.formats.mcap_writer import McapWriter
 from runtime.messages import LaserScan, decode, encode, header
 from runtime.recording import STATUS_TYPE, Recording, RecordingConfig
-from runtime.recovery import keep_ring, salvage
+from runtime.recovery import keep_ring, recover_cut, salvage
 
 SCAN = McapChannel("/robot/scan", "sensor_msgs/msg/LaserScan", {"gid": "aa" * 16})
 S = 1_000_000_000
@@ -249,7 +251,7 @@ def test_the_disk_is_never_filled_to_the_end(tmp_path):
     free[0] = 499e6
     rec.add(SCAN, 2, 2, 2, payload(2))
     rec.tick(2 * S, {})
-    assert rec.full
+    assert rec.stopped == "the disk was full"
     rec.add(SCAN, 3, 3, 3, payload(3))
     rec.tick(3 * S, {})
     rec.close(4 * S)
@@ -264,38 +266,87 @@ def test_a_disk_that_is_full_from_the_start_makes_no_file(tmp_path):
     rec = recording(tmp_path / "a.mcap", free_bytes=lambda folder: 0)
     rec.add(SCAN, 1, 1, 1, payload(1))
     rec.close(S)
-    assert rec.full
+    assert rec.stopped == "the disk was full"
     assert rec.counts.total_lost == 1
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_write_that_fails_leaves_what_was_flushed(tmp_path):
-    rec = recording(tmp_path / "a.mcap")
-    rec.add(SCAN, 1, 1, 1, payload(1))
-    rec.tick(1 * S, {})
-    rec.add(SCAN, 2, 2, 2, payload(2))
-    rec._writer._file.close()  # as if the disk had gone
-    rec._writer._file = _Gone()
-    rec._writer._writer._Writer__stream = _Gone()
-    rec.tick(2 * S, {})
-    rec.add(SCAN, 3, 3, 3, payload(3))
-    assert rec.full
-    assert (rec.counts.written, rec.counts.unwritten) == (1, 2)
-    assert [m.sequence for m in read(tmp_path / "a.mcap.active")[0] if m.channel == SCAN] == [1]
+def break_disk(rec, error):
+    """Let every write of a recording fail from now on, the last one at the end of the file too."""
+    rec._writer._file.close()
+    rec._writer._file = rec._writer._writer._Writer__stream = _Broken(error)
 
 
-class _Gone:
+class _Broken:
+    def __init__(self, error):
+        self.error = error
+
     def write(self, data):
-        raise OSError(28, "No space left on device")
-
-    def flush(self):
-        raise OSError(28, "No space left on device")
+        raise self.error
 
     def tell(self):
         return 0
 
-    def close(self):
-        pass
+    close = flush = lambda self: self.write(b"")
+
+
+def test_a_write_that_fails_leaves_what_was_flushed_and_says_why(tmp_path):
+    rec = recording(tmp_path / "a.mcap")
+    rec.add(SCAN, 1, 1, 1, payload(1))
+    rec.tick(1 * S, {})
+    rec.add(SCAN, 2, 2, 2, payload(2))
+    break_disk(rec, OSError(errno.EIO, "Input/output error"))
+    rec.tick(2 * S, {})
+    rec.add(SCAN, 3, 3, 3, payload(3))
+    rec.close(3 * S)
+    assert rec.stopped == "Input/output error"
+    assert (rec.counts.written, rec.counts.unwritten) == (1, 2)
+    assert rec.files == [tmp_path / "a.mcap.active"]
+    assert [m.sequence for m in read(tmp_path / "a.mcap.active")[0] if m.channel == SCAN] == [1]
+
+
+def test_a_split_for_which_there_is_no_room_ends_the_recording_and_counts(tmp_path, monkeypatch):
+    rec = recording(tmp_path / "a.mcap", split_s=1.0)
+    rec.add(SCAN, 1, 1, 1, payload(1))
+
+    def no_room(writer, to_disk=False):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    flush = McapWriter.flush
+    monkeypatch.setattr(McapWriter, "flush", lambda w, to_disk=False: (flush if to_disk else no_room)(w))
+    rec.tick(1 * S, {})
+    rec.add(SCAN, 2, 2 * S, 2 * S, payload(2))
+    rec.tick(2 * S, {})
+    rec.close(3 * S)
+    assert rec.stopped == "No space left on device"
+    assert (rec.counts.written, rec.counts.unwritten) == (1, 1)
+    assert list(tmp_path.iterdir()) == rec.files == [tmp_path / "a_000.mcap"]
+    assert read(tmp_path / "a_000.mcap")[1].complete
+
+
+def test_a_file_that_cannot_be_ended_at_a_split_is_followed_by_no_other(tmp_path, monkeypatch):
+    rec = recording(tmp_path / "a.mcap", split_s=1.0)
+    rec.add(SCAN, 1, 1, 1, payload(1))
+
+    def fail(writer, about):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(McapWriter, "finish", fail)
+    rec.tick(1 * S, {})
+    rec.add(SCAN, 2, 2 * S, 2 * S, payload(2))
+    assert rec.stopped == "No space left on device"
+    assert list(tmp_path.iterdir()) == rec.files == [tmp_path / "a_000.mcap.active"]
+    assert (rec.counts.written, rec.counts.unwritten) == (1, 1)
+
+
+def test_a_disk_that_is_gone_ends_the_recording(tmp_path):
+    there = [10**12]
+    rec = recording(tmp_path / "a.mcap", free_bytes=lambda folder: there.pop())
+    rec._free_bytes = lambda folder: (_ for _ in ()).throw(OSError(errno.EIO, "Input/output error"))
+    rec.add(SCAN, 1, 1, 1, payload(1))
+    rec.tick(1 * S, {})
+    assert rec.stopped == "Input/output error"
+    assert rec.counts.written == 1
 
 
 def test_an_earlier_recording_is_never_overwritten(tmp_path):
@@ -340,6 +391,71 @@ def test_a_cut_file_becomes_a_whole_one_that_everybody_reads(tmp_path):
         assert sum(1 for _ in bag.messages()) == 22
     with pytest.raises(FileExistsError):
         salvage(tmp_path / "a.mcap.active")
+
+
+def cut_recording(path, scans=25):
+    """Leave what a recorder leaves that was killed; it holds the first twenty scans."""
+    rec = recording(path)
+    for n in range(1, scans + 1):
+        rec.add(SCAN, n, n * S // 10, n * S // 10, payload(n))
+        rec.tick(n * S // 10, {})
+    rec._writer.abandon()
+
+
+def test_cut_files_of_a_name_are_recovered_and_no_others(tmp_path):
+    for name in ("a", "a_001", "ab", "a_b"):
+        cut_recording(tmp_path / f"{name}.mcap")
+    told = recover_cut(tmp_path / "a.mcap")
+    assert [line.rpartition("/")[2] for line in told] == [
+        "a.mcap: 22 messages recovered from a recording that was cut",
+        "a_001.mcap: 22 messages recovered from a recording that was cut",
+    ]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "a.mcap", "a_001.mcap", "a_b.mcap.active", "ab.mcap.active",
+    ]  # fmt: skip
+    assert scans_in([tmp_path / "a_001.mcap"]) == list(range(1, 21))
+
+
+def test_a_file_that_is_being_written_is_left_to_its_recorder(tmp_path):
+    rec = recording(tmp_path / "a.mcap")
+    rec.add(SCAN, 1, 1, 1, payload(1))
+    rec.tick(1 * S, {})
+    assert recover_cut(tmp_path / "a.mcap") == []
+    other = recording(tmp_path / "a.mcap")
+    rec.add(SCAN, 2, 2, 2, payload(2))
+    rec.close(2 * S)
+    other.close(2 * S)
+    assert (rec.files, other.files) == ([tmp_path / "a.mcap"], [tmp_path / "a_001.mcap"])
+    assert scans_in(rec.files) == [1, 2]
+
+
+def test_a_recorder_that_was_killed_as_it_began_is_in_nobodys_way(tmp_path):
+    (tmp_path / "a.mcap.active").touch()
+    (tmp_path / "a_001.mcap.active").write_bytes(b"\0" * 100)
+    empty, foreign = recover_cut(tmp_path / "a.mcap")
+    assert empty.endswith("a.mcap.active: was empty, from a recorder that was killed as it began; taken away")
+    assert "a_001.mcap.active: not an MCAP file" in foreign
+    assert foreign.endswith("left as it is")
+    assert [path.name for path in tmp_path.iterdir()] == ["a_001.mcap.active"]
+    rec = recording(tmp_path / "a.mcap")
+    rec.close(S)
+    assert rec.files == [tmp_path / "a.mcap"]
+
+
+def test_a_recovery_that_was_killed_is_made_again(tmp_path):
+    cut_recording(tmp_path / "a.mcap")
+    (tmp_path / ".a.mcap.salvage.active").write_bytes(b"half")
+    recover_cut(tmp_path / "a.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+    assert scans_in([tmp_path / "a.mcap"]) == list(range(1, 21))
+
+
+def test_a_recovery_that_the_disk_spoils_is_told_and_leaves_the_cut_file(tmp_path, monkeypatch):
+    cut_recording(tmp_path / "a.mcap")
+    monkeypatch.setattr(McapWriter, "add", lambda *args: None)
+    (line,) = recover_cut(tmp_path / "a.mcap")
+    assert "0 of 22 messages read back after recovery" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.active"]
 
 
 # ---- a recording is a laser log ----
@@ -414,7 +530,7 @@ def test_a_recorder_that_was_started_again_goes_on_with_the_ring(tmp_path):
 
 def test_what_is_kept_of_a_ring_stays_when_the_ring_goes_on(tmp_path):
     rec = run_ring(tmp_path / "ring", 12)
-    kept = keep_ring(tmp_path / "ring", tmp_path / "kept", within_s=0.0)
+    kept = keep_ring(tmp_path / "ring" / "ring.mcap", tmp_path / "kept", within_s=0.0)
     before = scans_in(kept)
     for n in range(121, 400):
         rec.add(SCAN, n, n * S // 10, n * S // 10, payload(n))
@@ -425,6 +541,18 @@ def test_what_is_kept_of_a_ring_stays_when_the_ring_goes_on(tmp_path):
     assert after[: len(before)] == before
     assert len(after) >= 100
     assert read(kept[-1])[1].complete  # the newest file went on under its second name until it was whole
+
+
+def test_what_is_no_part_of_a_ring_is_neither_kept_nor_taken_away(tmp_path):
+    others = [tmp_path / name for name in ("other.mcap", "ring_000.mcap", "ring_000.mcap.active")]
+    for other in others:
+        other.write_bytes(b"of somebody else")
+    rec = run_ring(tmp_path, 30)
+    kept = keep_ring(tmp_path / "ring.mcap", tmp_path / "kept", within_s=0.0)
+    rec.close(31 * S)
+    assert len(kept) == len(rec.files)
+    assert scans_in(kept)[-1] == 300
+    assert all(other.exists() for other in others)
 
 
 def test_a_ring_of_another_length_is_refused():

@@ -6,7 +6,9 @@ import pytest
 
 from runtime.bus_memory import MemoryBus
 from runtime.clock import Clock
+from runtime.errors import ConfigError
 from runtime.formats.mcap_log import McapReader
+from runtime.identity import Identity, left_in
 from runtime.messages import decode
 from runtime.node import BusPort
 from runtime.nodes import recorder
@@ -46,7 +48,8 @@ def record_while(bus, tmp_path, say, **kwargs):
             if say(next(turns)):
                 port.stop()
 
-        recording = recorder.record(port, config(tmp_path / "a.mcap", **kwargs), turn)
+        settings = config(tmp_path / "a.mcap", **kwargs)
+        recording = recorder.record(port, settings, turn, left_in(tmp_path))
     reader = McapReader(tmp_path / "a.mcap")
     return recording, list(reader.messages()), reader.state
 
@@ -74,13 +77,56 @@ def test_every_message_is_in_the_file_with_its_number_and_publisher(bus, tmp_pat
 
 
 def test_the_file_tells_versions_clock_seed_and_configuration(bus, tmp_path):
+    Identity(seed=7, domain=3, version="1.2", host="onboard").leave(tmp_path)
     (tmp_path / "config.yaml").write_text("nodes: {}\n")
     _, _, state = record_while(bus, tmp_path, lambda turn: turn == 1)
     about = state.metadata["hallway"]
     assert about["robot"] == "robot"
+    assert state.run_seed == 7
+    assert (about["robot.version"], about["robot.host"]) == ("1.2", "onboard")
     assert about["version.mcap"][0].isdigit()
     assert int(about["clock_offset_ns"]) > 10**18
     assert state.attachments == {"config.yaml": b"nodes: {}\n"}
+
+
+def test_what_nobody_tells_of_a_run_is_unknown_in_its_recording(bus, tmp_path):
+    _, _, state = record_while(bus, tmp_path, lambda turn: turn == 1)
+    about = state.metadata["hallway"]
+    assert {about[name] for name in ("seed", "robot.version", "robot.host")} == {"unknown"}
+    assert state.run_seed is None
+    assert state.attachments == {}
+
+
+def record_ring(bus, tmp_path, name, turn):
+    settings = recorder.Config(
+        file=str(tmp_path / name), recording=RecordingConfig(ring_s=10, min_free_mb=0.0)
+    )
+    with recorder_port(bus, tmp_path) as port:
+        return recorder.record(port, settings, lambda recording: turn(port, recording), Identity())
+
+
+def test_a_ring_has_a_folder_of_its_own_that_the_robot_leads_to(bus, tmp_path):
+    def turn(port, recording):
+        assert (tmp_path / "ring").readlink() == tmp_path / "a" / "a.mcap"
+        port.stop()
+
+    recording = record_ring(bus, tmp_path, "a.mcap", turn)
+    assert recording.files == [tmp_path / "a" / "a_00000000.mcap"]
+
+
+def test_a_second_ring_leaves_the_first_one_its_files_and_its_place(bus, tmp_path, caplog):
+    def turn(port, recording):
+        with pytest.raises(ConfigError, match="another recorder keeps a ring there"):
+            record_ring(bus, tmp_path, "a.mcap", turn)
+        second = record_ring(bus, tmp_path, "b.mcap", lambda port, recording: port.stop())
+        assert second.files == [tmp_path / "b" / "b_00000000.mcap"]
+        port.stop()
+
+    record_ring(bus, tmp_path, "a.mcap", turn)
+    assert (tmp_path / "ring").readlink() == tmp_path / "a" / "a.mcap"
+    assert "`hallway record --keep` keeps this ring, not the new one" in caplog.text
+    record_ring(bus, tmp_path, "c.mcap", lambda port, recording: port.stop())
+    assert (tmp_path / "ring").readlink() == tmp_path / "c" / "c.mcap"
 
 
 def test_only_the_topics_asked_for_are_recorded(bus, tmp_path):
@@ -154,7 +200,7 @@ def test_a_recording_ends_by_itself_after_its_duration(bus, tmp_path):
 
 def test_the_node_says_what_was_lost_in_its_report_and_exit_code(tmp_path, monkeypatch):
     port = ListPort(run_dir=tmp_path, stop_after=0)
-    monkeypatch.setattr(recorder, "_drain", lambda port, subscriptions, recording, channels: _lose(recording))
+    monkeypatch.setattr(recorder, "_drain", lambda port, subscriptions, recording, *_: _lose(recording))
     assert recorder.run(port, config(tmp_path / "a.mcap")) == 4
     assert port.reports[-1][:2] == ("warn", "5 messages lost")
 
