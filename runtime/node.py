@@ -10,6 +10,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,15 @@ _MATCHING_S = 0.3
 _LEVELS: dict[Level, int] = {"ok": 0, "warn": 1, "error": 2}
 
 
+@dataclass(slots=True)
+class _Voice:
+    """Who a message is from."""
+
+    gid: bytes
+    number: int = 0
+    """Of the last message."""
+
+
 class _Outlet:
     """One topic's publisher: numbers, stamps and sends under one lock, so that numbers leave in order."""
 
@@ -37,15 +47,19 @@ class _Outlet:
         self.topic = topic
         self.publisher: Publisher = bus.publisher(key, latched=topic.latched, urgency=topic.urgency)
         self.published = 0
-        self._gid = os.urandom(16)
+        self._voices: dict[str, _Voice] = {}
         self._clock = clock
         self._lock = threading.Lock()
 
-    def put(self, payload: bytes) -> None:
+    def put(self, payload: bytes, publisher: str = "", skipped: int = 0) -> None:
         with self._lock:
             self.published += 1
+            voice = self._voices.get(publisher)
+            if voice is None:
+                voice = self._voices[publisher] = _Voice(os.urandom(16))
+            voice.number += 1 + skipped
             stamp_ns = self._clock.now_ns()
-            self.publisher.put(payload, messages.Attachment(self.published, stamp_ns, self._gid).encode())
+            self.publisher.put(payload, messages.Attachment(voice.number, stamp_ns, voice.gid).encode())
 
 
 class BusPort:
@@ -121,13 +135,13 @@ class BusPort:
         """See Port.publish."""
         self.publish_raw(topic, messages.encode(message))
 
-    def publish_raw(self, topic: str, payload: bytes) -> None:
+    def publish_raw(self, topic: str, payload: bytes, publisher: str = "", skipped: int = 0) -> None:
         """See Port.publish_raw."""
         self._connected()
         outlet = self._outlets.get(topic)
         if outlet is None:
             raise ValueError(f"{self.name}: publishes {topic!r}, which is not in its PUBLISHES")
-        outlet.put(payload)
+        outlet.put(payload, publisher, skipped)
 
     def answer(self, name: str, reply: Callable[[bytes], bytes]) -> None:
         """See Port.answer."""

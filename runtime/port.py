@@ -91,8 +91,16 @@ class Port(Protocol):
     def publish(self, topic: str, message: Any) -> None:
         """Send a message on a topic declared in the node's PUBLISHES; never waits for a reader."""
 
-    def publish_raw(self, topic: str, payload: bytes) -> None:
-        """Send a message that is CDR already."""
+    def publish_raw(self, topic: str, payload: bytes, publisher: str = "", skipped: int = 0) -> None:
+        """Send a message that is CDR already.
+
+        Args:
+            topic: As for `publish`.
+            payload: The message.
+            publisher: Whose it is, where a process repeats what several have said; each has numbers of its
+                own.
+            skipped: How many of those numbers are left out before this one.
+        """
 
     def answer(self, name: str, reply: Callable[[bytes], bytes]) -> None:
         """Answer questions on `hallway/<robot>/<name>`, from another thread; bulk, that nothing waits for."""
@@ -189,7 +197,7 @@ class ListPort:
         """See Port.publish."""
         self.published.append((topic_named(topic).name, message))
 
-    def publish_raw(self, topic: str, payload: bytes) -> None:
+    def publish_raw(self, topic: str, payload: bytes, publisher: str = "", skipped: int = 0) -> None:
         """See Port.publish_raw."""
         self.published.append((topic_named(topic).name, payload))
 

@@ -94,9 +94,11 @@ def _log(path: Path, topic: str | None) -> dict[str, Any]:
 
 
 def _print(report: dict[str, Any]) -> None:
+    from runtime.cli.gaps import print_gaps
+
     topics = report.get("topics")
     for key, value in report.items():
-        if key in ("topics", "missing", "notices", "gaps") or value is None:
+        if key in ("topics", "missing", "notices", "gaps", "outages") or value is None:
             continue
         print(f"{key:<20} {_text(value)}")
     if topics:
@@ -104,9 +106,8 @@ def _print(report: dict[str, Any]) -> None:
         for name, row in topics.items():
             rate = "" if row["rate_hz"] is None else f"{row['rate_hz']:.2f}"
             print(f"{name:<28}{row['messages']:>9}{rate:>8}{row['missing']:>9}  {row['type']}")
-    for gap in report.get("gaps", []):
-        print(f"gap                  {gap['topic']}: {gap['count']} messages before {gap['at_s']:.3f} s")
-    for key in ("notices", "missing"):
+    print_gaps("missing messages of", report.get("gaps", []))
+    for key in ("outages", "notices", "missing"):
         for one in report.get(key, []):
             print(f"{key.rstrip('s'):<20} {one}")
 

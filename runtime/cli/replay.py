@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Play; 0 at the end, 130 after Ctrl-C or q, 4 when scans were lost in the recording or on the way."""
+    """Play; 0 at the end, 130 after Ctrl-C or q, 4 when something was missing from what was played."""
     from runtime.replay import Recorded, ReplayConfig
 
     try:
@@ -102,12 +102,16 @@ def _play(
 
     from runtime.messages import Clock, time_of
     from runtime.node import BusPort
-    from runtime.replay import Control, play
+    from runtime.replay import Control, in_name_of, play
 
     name = f"player_{os.getpid()}"
     port = BusPort(name, lambda: bus, publishes=(*recorded.played, "clock"), robot=robot)
     control = Control(paused=args.paused, stopping=lambda: port.stopping)
     screen = _Screen(recorded, control, args.json)
+
+    def publish(topic: str, payload: bytes, publisher: str, skipped: int) -> None:
+        ours = in_name_of(robot, payload) if topic == "diagnostics" else payload
+        port.publish_raw(topic, ours, publisher, skipped)
 
     def publish_clock(now_ns: int) -> None:
         port.publish("clock", Clock(clock=time_of(now_ns)))
@@ -124,7 +128,7 @@ def _play(
             port.ready()
             if args.wait:
                 _wait_for_listener(bus, robot, recorded, port)
-            return play(recorded, config, control, port.publish_raw, publish_clock, sleep=sleep)
+            return play(recorded, config, control, publish, publish_clock, sleep=sleep)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -142,18 +146,22 @@ def _wait_for_listener(bus: "Bus", robot: str, recorded: "Recorded", port: Any) 
 
 
 def _report(played: "Played", recorded: "Recorded", args: argparse.Namespace) -> int:
+    from runtime.cli.gaps import print_gaps
+
     late_ms = played.worst_late_ns / 1e6
-    report = {"sent": played.messages, "worst_late_ms": round(late_ms, 3), "losses": recorded.losses}
+    report: dict[str, Any] = {"sent": played.messages, "worst_late_ms": round(late_ms, 3)}
+    report |= {"gaps": recorded.gaps(), "outages": recorded.outages(), "losses": recorded.losses()}
     if args.json:
         print(json.dumps(report))
     else:
         sent = ", ".join(f"{count} {name}" for name, count in played.messages.items()) or "nothing"
         print(f"sent {sent}; at most {late_ms:.1f} ms late")
-        for loss in recorded.losses:
-            print(f"hallway replay: {loss}", file=sys.stderr)
+        print_gaps("not in the recording", report["gaps"])
+        for one in report["outages"] + report["losses"]:
+            print(f"hallway replay: {one}", file=sys.stderr)
     if not played.complete:
         return 130
-    return int(DataLostError.exit_code) if recorded.losses else 0
+    return int(DataLostError.exit_code) if report["losses"] else 0
 
 
 class _Keys:

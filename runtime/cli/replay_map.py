@@ -1,6 +1,7 @@
 """`hallway replay FILE --map`: a recording through the live matcher and mapper, in processes as on the robot.
 
-What was lost on the way is found afterwards, by holding the stamps of the result against those sent.
+What was missing from the recording the player tells; what was lost on the way is found afterwards, by holding
+the stamps of the result against those sent.
 """
 
 import argparse
@@ -19,12 +20,11 @@ if TYPE_CHECKING:
     from runtime.replay import Recorded, ReplayConfig
     from runtime.run import Run
 
-MOST_ROWS = 20
 _TURN_S = 0.05
 
 
 def map_live(args: argparse.Namespace, config: "ReplayConfig") -> int:
-    """Play, map and compare; 0 when every scan has its pose, 4 and a table when not, 130 after Ctrl-C."""
+    """Play, map and compare; 0 when every scan has its pose, 4 and tables when not, 130 after Ctrl-C."""
     from runtime.config import to_yaml
     from runtime.replay import Recorded
     from runtime.results import check_free, link_latest
@@ -135,6 +135,7 @@ def _drive(live: "Run") -> bool:
 
 
 def _report(out: Path, recorded: "Recorded", code: int, as_json: bool) -> int:
+    from runtime.cli.gaps import print_gaps
     from runtime.formats.tum import kept_ns, read_tum, tum_stamp
 
     played_file, result_file = out / "played.json", out / "trajectory.tum"
@@ -142,7 +143,8 @@ def _report(out: Path, recorded: "Recorded", code: int, as_json: bool) -> int:
         return code  # the reason was said
     if not played_file.is_file():
         raise HallwayError(f"{out}: the run left no account of what was played; see {out}/logs")
-    sent = json.loads(played_file.read_text(encoding="utf-8"))["scan_stamps_ns"]
+    played = json.loads(played_file.read_text(encoding="utf-8"))
+    sent = played["scan_stamps_ns"]
     mapped = set(read_tum(result_file).stamps_ns.tolist()) if result_file.is_file() else set()
     missing = [(n, s) for n, s in enumerate(sent, start=1) if kept_ns(s) not in mapped]
     report = {
@@ -150,18 +152,29 @@ def _report(out: Path, recorded: "Recorded", code: int, as_json: bool) -> int:
         "sent": len(sent),
         "mapped": len(sent) - len(missing),
         "missing": [{"scan": n, "stamp": tum_stamp(s)} for n, s in missing],
-        "losses": recorded.losses,
+        "gaps": played["gaps"],
+        "outages": played["outages"],
+        "losses": played["losses"],
     }
     if as_json:
         print(json.dumps(report))
     else:
         print(f"{out}/: {report['mapped']} of {report['sent']} scans mapped")
-        for n, s in missing[:MOST_ROWS]:
-            print(f"{'scan':>8} {n:>7}  {tum_stamp(s)}  sent, and not in the map")
-        if len(missing) > MOST_ROWS:
-            print(f"{'':>8} and {len(missing) - MOST_ROWS} more")
-        for loss in recorded.losses:
-            print(f"hallway replay: {loss}", file=sys.stderr)
+        print_gaps("not in the recording", report["gaps"])
+        print_gaps("sent, and not in the map", _runs(missing, recorded.began_ns))
+        for one in report["outages"] + report["losses"]:
+            print(f"hallway replay: {one}", file=sys.stderr)
     if code == 130:
         return 130
-    return int(DataLostError.exit_code) if missing or recorded.losses else 0
+    return int(DataLostError.exit_code) if missing or report["losses"] else 0
+
+
+def _runs(missing: list[tuple[int, int]], began_ns: int) -> list[dict[str, Any]]:
+    """Return scans (number among those sent, stamp) as rows of a table, neighbours in one."""
+    rows: list[dict[str, Any]] = []
+    for n, stamp_ns in missing:
+        if rows and rows[-1]["first"] + rows[-1]["count"] == n:
+            rows[-1]["count"] += 1
+        else:
+            rows.append({"topic": "scan", "at_s": (stamp_ns - began_ns) / 1e9, "first": n, "count": 1})
+    return rows

@@ -17,15 +17,14 @@ from runtime.formats.laser_log import (
     MAX_PERIOD_S,
     LaserGeometry,
     LaserLog,
+    Numbers,
     clean_ranges,
     reading_notices,
     robust_period_s,
     stamp_notices,
 )
-from runtime.formats.mcap_log import LIBRARY, MAGIC, Gaps, McapReader
-from runtime.messages import BadMessageError, decode
-
-LASER_TYPE = "sensor_msgs/msg/LaserScan"
+from runtime.formats.mcap_log import MAGIC
+from runtime.formats.mcap_scans import LASER_TYPE, McapScans
 
 
 class _Source(Protocol):
@@ -39,6 +38,12 @@ class _Source(Protocol):
 
     def losses(self, topic: str) -> tuple[str, ...]:
         """Say what belongs into the file and is not there."""
+
+    def notices(self, topic: str) -> tuple[str, ...]:
+        """Say what else a reader should know."""
+
+    def numbers(self, topic: str) -> Numbers | None:
+        """Return the numbers of the scans of a topic, if they have some."""
 
     @property
     def clean(self) -> bool:
@@ -55,7 +60,7 @@ def read_bag(path: Path, topic: str | None = None) -> LaserLog:
     Raises:
         FormatError: Nothing of that name, several lasers and no choice, a damaged bag, a change of geometry.
     """
-    source = _McapFile(path) if _is_mcap(path) else _RosBag(path)
+    source = McapScans(path) if _is_mcap(path) else _RosBag(path)
     chosen = _choose(path, source.topics(), topic)
     stamps: list[int] = []
     first: Any = None
@@ -78,15 +83,18 @@ def read_bag(path: Path, topic: str | None = None) -> LaserLog:
     stamps_ns = np.array(stamps, dtype=np.int64)
     return LaserLog(
         path=path,
-        kind="MCAP" if isinstance(source, _McapFile) else "ROS bag",
+        kind="MCAP" if isinstance(source, McapScans) else "ROS bag",
         topic=chosen,
         geometry=_geometry(first, stamps_ns),
         stamps_ns=stamps_ns,
-        notices=stamp_notices(path, stamps_ns) + reading_notices(path, odd, first_odd),
+        notices=stamp_notices(path, stamps_ns)
+        + reading_notices(path, odd, first_odd)
+        + source.notices(chosen),
         read=_ranges(source, chosen),
         losses=source.losses(chosen),
-        run_seed=source.state.run_seed if isinstance(source, _McapFile) else None,
-        run_config=source.state.run_config if isinstance(source, _McapFile) else "",
+        numbers=source.numbers(chosen),
+        run_seed=source.state.run_seed if isinstance(source, McapScans) else None,
+        run_config=source.state.run_config if isinstance(source, McapScans) else "",
     )
 
 
@@ -130,6 +138,12 @@ class _RosBag:
     def losses(self, topic: str) -> tuple[str, ...]:
         return ()
 
+    def notices(self, topic: str) -> tuple[str, ...]:
+        return ()
+
+    def numbers(self, topic: str) -> None:
+        return None
+
     def scans(self, topic: str) -> Iterator[Any]:
         with self._reader() as reader:
             wanted = [one for one in reader.connections if one.topic == topic and one.msgtype == LASER_TYPE]
@@ -166,40 +180,6 @@ class _RosBag:
             yield reader
         finally:
             reader.close()
-
-
-class _McapFile:
-    """MCAP files of any writer, finished or cut; their messages must be CDR."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        reader = McapReader(path)
-        self._gaps = Gaps()
-        self._topics: dict[str, str] = {}
-        for message in reader.messages():
-            self._topics[message.channel.topic] = message.channel.msgtype
-            self._gaps.see(message)
-        self.state = reader.state
-        self.clean = reader.state.library == LIBRARY
-
-    def topics(self) -> dict[str, str]:
-        return self._topics
-
-    def losses(self, topic: str) -> tuple[str, ...]:
-        told = self.state.losses()
-        if missing := self._gaps.missing.get(topic, 0):
-            told.append(f"{missing} scans of {topic} were never recorded, by its sequence numbers")
-        return tuple(f"{self._path}: {one}" for one in told)
-
-    def scans(self, topic: str) -> Iterator[Any]:
-        index = 0
-        for message in McapReader(self._path).messages():
-            if message.channel.topic == topic and message.channel.msgtype == LASER_TYPE:
-                index += 1
-                try:
-                    yield decode(message.payload, LASER_TYPE)
-                except BadMessageError as error:
-                    raise FormatError(self._path, f"{topic} scan {index}: {error}") from error
 
 
 def _is_mcap(path: Path) -> bool:

@@ -31,6 +31,16 @@ class LaserGeometry:
     range_max_m: float
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Numbers:
+    """What a recording tells beside its scans, by which a scan that never came is noticed."""
+
+    sequences: NDArray[np.int64]
+    """(N,) of each scan among those of its publisher, from 1; 0 where it has none."""
+    publishers: NDArray[np.int64]
+    """(N,) which of them: the first one, the second, ..."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LaserRecord:
     """One scan of a log."""
@@ -39,6 +49,10 @@ class LaserRecord:
     """As the file prints it."""
     ranges_m: NDArray[np.float32]
     """(count,) NaN = no information, +inf = no return."""
+    sequence: int = 0
+    """Among the scans of its publisher, from 1; 0 where the format has no numbers."""
+    publisher: int = 0
+    """Which one: a laser process that was started again is another."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -63,13 +77,21 @@ class LaserLog:
     """YAML of the resolved configuration of the run that was recorded."""
     losses: tuple[str, ...] = ()
     """What belongs into the log and is not there: a cut file, scans that were never recorded."""
+    numbers: Numbers | None = None
+    """Of the scans; None where the format has none."""
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
     def __iter__(self) -> Iterator[LaserRecord]:
-        for stamp_ns, ranges_m in zip(self.stamps_ns.tolist(), self.read(), strict=True):
-            yield LaserRecord(stamp_ns, ranges_m)
+        if self.numbers is None:
+            for stamp_ns, ranges_m in zip(self.stamps_ns.tolist(), self.read(), strict=True):
+                yield LaserRecord(stamp_ns, ranges_m)
+            return
+        beside = (self.stamps_ns, self.numbers.sequences, self.numbers.publishers)
+        rows = zip(*(values.tolist() for values in beside), strict=True)
+        for (stamp_ns, sequence, publisher), ranges_m in zip(rows, self.read(), strict=True):
+            yield LaserRecord(stamp_ns, ranges_m, sequence, publisher)
 
 
 def clean_ranges(ranges_m: ArrayLike, range_min_m: float, range_max_m: float) -> NDArray[np.float32]:

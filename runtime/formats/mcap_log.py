@@ -107,14 +107,26 @@ class ReadState:
 
     def losses(self) -> list[str]:
         """Say why messages that were in the file cannot be read."""
+        cut = f"the file was cut{f' ({self.ended})' if self.ended else ''}"
+        return self.damage() if self.complete else [cut, *self.damage()]
+
+    def damage(self) -> list[str]:
+        """Say what could not be read so far; that reading went on to the end is not asked for."""
         told = []
-        if not self.complete:
-            told.append(f"the file was cut{f' ({self.ended})' if self.ended else ''}")
         if self.damaged_chunks:
             told.append(f"{self.damaged_chunks} damaged chunks were left out")
         if self.nameless:
             told.append(f"{self.nameless} messages of unknown channels were left out")
         return told
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """Where reading may begin in the middle of a file; its index tells."""
+
+    offset: int
+    channels: Mapping[int, McapChannel]
+    """Of the whole file: those that begin further ahead are not met any more."""
 
 
 class McapReader:
@@ -134,22 +146,24 @@ class McapReader:
             file.seek(-len(MAGIC), os.SEEK_END)
             return file.read() == MAGIC
 
-    def messages(self) -> Iterator[McapMessage]:
+    def messages(self, entry: Entry | None = None) -> Iterator[McapMessage]:
         """Yield every readable message; `state` is complete afterwards.
+
+        Args:
+            entry: Where to begin; at the beginning if None.
 
         Raises:
             FormatError: The file does not begin as an MCAP file.
         """
         self.state = state = ReadState()
-        channels: dict[int, McapChannel] = {}
+        channels = {} if entry is None else dict(entry.channels)
         types: dict[int, str] = {}
-        for record in self._records(state):
+        for record in self._records(state, None if entry is None else entry.offset):
             if isinstance(record, Schema):
                 types[record.id] = record.name
             elif isinstance(record, Channel):
-                msgtype = types.get(record.schema_id, "")
-                metadata = {k: v for k, v in record.metadata.items() if k != QOS_KEY}
-                channels[record.id] = McapChannel(record.topic, msgtype, metadata)
+                if entry is None or record.id not in channels:
+                    channels[record.id] = channel_of(record, types.get(record.schema_id, ""))
             elif isinstance(record, Message):
                 channel = channels.get(record.channel_id)
                 if channel is None:
@@ -166,10 +180,12 @@ class McapReader:
             elif isinstance(record, Header):
                 state.library = record.library
 
-    def _records(self, state: ReadState) -> Iterator[Any]:
+    def _records(self, state: ReadState, offset: int | None) -> Iterator[Any]:
         with self.path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise FormatError(self.path, "not an MCAP file; `hallway convert` makes one of a log")
+            if offset is not None:
+                file.seek(offset)
             reader = StreamReader(
                 file, skip_magic=True, emit_chunks=True, record_size_limit=_MAX_RECORD_BYTES
             ).records
@@ -199,35 +215,18 @@ class McapReader:
                     yield record
 
 
+def channel_of(record: Channel, msgtype: str) -> McapChannel:
+    """Return the channel that a record of a file describes."""
+    metadata = {key: value for key, value in record.metadata.items() if key != QOS_KEY}
+    return McapChannel(record.topic, msgtype, metadata)
+
+
 def _remember(metadata: Mapping[str, str], channels: dict[int, McapChannel]) -> None:
     """Take a channel's name from the record that repeats it, if it is not damaged and tells something new."""
     named = dict(metadata)
     number, topic, msgtype = (named.pop(key, "") for key in ("id", "topic", "type"))
     if number.isdigit() and topic and msgtype:
         channels.setdefault(int(number), McapChannel(topic, msgtype, named))
-
-
-class Gaps:
-    """Finds holes in the sequence numbers of every publisher."""
-
-    def __init__(self) -> None:
-        self._last: dict[McapChannel, int] = {}
-        self.missing: dict[str, int] = {}
-        """For each topic, how many messages are not there between those that are."""
-        self.where: list[tuple[str, int, int, int]] = []
-        """Topic, arrival of the message after the hole, first missing number, how many."""
-
-    def see(self, message: McapMessage) -> None:
-        """Take the next message of the file; messages without a number tell nothing."""
-        if message.sequence <= 0:
-            return
-        last = self._last.get(message.channel)
-        self._last[message.channel] = message.sequence
-        if last is not None and message.sequence > last + 1:
-            count = message.sequence - last - 1
-            topic = message.channel.topic
-            self.missing[topic] = self.missing.get(topic, 0) + count
-            self.where.append((topic, message.log_ns, last + 1, count))
 
 
 def _words(error: Exception) -> str:

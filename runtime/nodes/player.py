@@ -71,7 +71,9 @@ def _leave(port: Port, recorded: Recorded, played: Played) -> None:
         "sent": played.messages,
         "complete": played.complete,
         "worst_late_ms": round(played.worst_late_ns / 1e6, 3),
-        "losses": recorded.losses,
+        "losses": recorded.losses(),
+        "gaps": recorded.gaps(),
+        "outages": recorded.outages(),
         "scan_stamps_ns": played.scan_stamps_ns,
     }
     (port.results_dir / "played.json").write_text(to_json(sent), encoding="utf-8")

@@ -84,6 +84,25 @@ def test_what_is_replayed_is_recorded_byte_for_byte(desk, recording, tmp_path):
     assert not any(m.channel.name == "cmd_vel" for m in messages)
 
 
+def test_what_is_missing_from_the_recording_is_a_table_and_exit_code_4(desk, tmp_path):
+    writer = McapWriter(tmp_path / "holed.mcap")
+    for n in (*range(1, 11), *range(21, 31)):
+        at_ns = 1_700_000_000 * S + n * S // 20
+        writer.add(SCAN, n, at_ns, at_ns, payload(n))
+    writer.finish()
+    player = desk("replay", "holed.mcap", "--as", "ghost", "--rate", "0")
+    out, told = player.communicate(timeout=60)
+    assert player.returncode == 4, told
+    assert "not in the recording              time s    first   count\n" in out
+    assert "/robot/scan                        1.000       11      10\n" in out
+    assert "hallway replay: 10 messages of /robot/scan, by its sequence numbers" in told
+    player = desk("replay", "holed.mcap", "--as", "ghost", "--rate", "0", "--json")
+    report = json.loads(player.communicate(timeout=60)[0])
+    assert player.returncode == 4
+    assert report["losses"] == ["10 messages of /robot/scan, by its sequence numbers"]
+    assert report["gaps"] == [{"topic": "/robot/scan", "at_s": 1.0, "first": 11, "count": 10}]
+
+
 def test_a_robot_that_speaks_itself_is_not_played_over(desk, recording, tmp_path):
     first = desk("replay", recording, "--as", "ghost", "--wait")
     hub = tmp_path / "run" / "ghost" / "hub.sock"

@@ -4,8 +4,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from runtime.formats.mcap_log import MAGIC, Gaps, McapChannel, McapReader
+from runtime.formats.mcap_log import MAGIC, McapChannel, McapReader
 from runtime.formats.mcap_writer import McapWriter
+from runtime.missing import Account
 
 CHANNEL = McapChannel("/robot/bumper", "std_msgs/msg/UInt8", {"gid": "aa"})
 many = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -62,9 +63,8 @@ def test_gaps_are_what_is_missing_between_the_first_and_the_last(tmp_path_factor
     for n in numbers:
         writer.add(CHANNEL, n, n, n, b"")
     writer.finish()
-    gaps = Gaps()
-    for message in McapReader(path).messages():
-        gaps.see(message)
+    account = Account()
+    before = [account.see(message) for message in McapReader(path).messages()]
     expected = numbers[-1] - numbers[0] + 1 - len(numbers)
-    assert gaps.missing.get(CHANNEL.topic, 0) == expected
-    assert sum(count for *_, count in gaps.where) == expected
+    assert account.missing(CHANNEL.topic) == sum(before) == expected
+    assert sum(hole.count for hole in account.holes) == expected

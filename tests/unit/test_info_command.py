@@ -51,6 +51,22 @@ def test_a_killed_recording_says_so_and_what_it_lost(tmp_path, capsys):
     assert report["gaps"] == [{"topic": "/robot/scan", "at_s": 0.4, "first": 3, "count": 2}]
 
 
+def test_a_process_that_was_started_again_leaves_an_outage_in_its_recording(tmp_path, capsys):
+    again = McapChannel(SCAN.topic, SCAN.msgtype, {"gid": "bb"})
+    rec = recorded(tmp_path / "a.mcap", range(1, 11))
+    for n in range(1, 6):
+        at_ns = (22 + n) * S // 10
+        rec.add(again, n, at_ns, at_ns, b"\x00\x01\x00\x00" + bytes(100))
+    rec.close(3 * S)
+    code, report = info(capsys, tmp_path / "a.mcap")
+    assert report["outages"] == ["2.200 s: /robot/scan: a new publisher after 1.3 s without one"]
+    assert report["topics"]["/robot/scan"]["publishers"] == 2
+    # Nothing that was said is missing: nobody said anything.
+    assert (code, report["missing"], report["gaps"]) == (0, [], [])
+    assert main(["info", str(tmp_path / "a.mcap")]) == 0
+    assert "outage               2.200 s: /robot/scan: a new publisher" in capsys.readouterr().out
+
+
 def test_a_recording_that_ended_on_a_full_disk_says_so(tmp_path, capsys):
     free = [10**12]
     rec = Recording(tmp_path / "a.mcap", "robot", RecordingConfig(), 0, free_bytes=lambda folder: free[0])
@@ -66,7 +82,8 @@ def test_people_get_a_table(tmp_path, capsys):
     assert main(["info", str(tmp_path / "a.mcap")]) == 4
     out = capsys.readouterr().out
     assert "/robot/scan                         3    5.00        2  sensor_msgs/msg/LaserScan" in out
-    assert "gap                  /robot/scan: 2 messages before 0.400 s" in out
+    assert "missing messages of               time s    first   count\n" in out
+    assert "/robot/scan                        0.400        3       2\n" in out
     assert "missing              2 messages of /robot/scan, by its sequence numbers" in out
 
 

@@ -3,14 +3,19 @@
 import numpy as np
 import pytest
 
+from runtime.bus_memory import MemoryBus
+from runtime.cli import replay_map
 from runtime.cli.replay import obey
 from runtime.errors import ConfigError
 from runtime.formats.mcap_log import McapChannel
 from runtime.formats.mcap_writer import McapWriter
-from runtime.messages import LaserScan, encode, header
+from runtime.formats.tum import write_tum
+from runtime.health import Health
+from runtime.messages import DiagnosticArray, DiagnosticStatus, LaserScan, encode, header, topic_key
+from runtime.node import BusPort
 from runtime.nodes import player
 from runtime.port import ListPort
-from runtime.replay import Control, Recorded, ReplayConfig, play
+from runtime.replay import Control, Recorded, ReplayConfig, in_name_of, play
 from runtime.topics import TOPICS
 
 S = 10**9
@@ -25,10 +30,16 @@ def scan(n):
     )
 
 
-def write(path, rows, gid="aa"):
+def write(path, rows, first=1, missing=()):
+    """Write (topic, arrival, payload); scans numbered from `first` but those `missing`."""
     writer = McapWriter(path, {"hallway": {"robot": "robot"}})
-    for number, (name, log_ns, payload) in enumerate(rows, start=1):
-        channel = McapChannel(f"/robot/{name}", TOPICS[name].type, {"gid": gid + name})
+    numbers = {}
+    for name, log_ns, payload in rows:
+        number = numbers.get(name, first - 1) + 1
+        while name == "scan" and number in missing:
+            number += 1
+        numbers[name] = number
+        channel = McapChannel(f"/robot/{name}", TOPICS[name].type, {"gid": "aa" + name})
         writer.add(channel, number, BEGAN + log_ns, BEGAN + log_ns, payload)
     writer.finish()
     return path
@@ -63,7 +74,7 @@ class Stage:
             recorded,
             self.config,
             self.control,
-            lambda name, payload: self.sent.append((self.now_ns, name, payload)),
+            lambda name, payload, *_: self.sent.append((self.now_ns, name, payload)),
             self.clock.append,
             now_ns=lambda: self.now_ns,
             sleep=self.sleep,
@@ -177,7 +188,7 @@ def test_the_keys_mean_what_the_help_says():
 
 def test_parts_of_one_recording_are_played_one_after_the_other(tmp_path):
     a = write(tmp_path / "a_000.mcap", [("scan", n * S // 10, scan(n)) for n in range(3)])
-    b = write(tmp_path / "a_001.mcap", [("scan", n * S // 10, scan(n)) for n in range(3, 6)])
+    b = write(tmp_path / "a_001.mcap", [("scan", n * S // 10, scan(n)) for n in range(3, 6)], first=4)
     stage = Stage()
     stage.run(a, b)
     times = np.array([now for now, _, _ in stage.sent])
@@ -192,15 +203,17 @@ def test_what_moves_a_robot_is_played_when_it_is_asked_for(recording):
 
 
 def test_a_cut_recording_is_played_as_far_as_it_goes_and_says_so(recording, tmp_path):
-    (tmp_path / "cut.mcap.active").write_bytes(recording.read_bytes()[:-9000])
-    recorded = Recorded([recording], ReplayConfig())
-    assert recorded.losses == []
+    whole = Recorded([recording], ReplayConfig())
+    assert len(list(whole.messages())) == 21
+    assert whole.losses() == []
     cut = tmp_path / "c.mcap"
     writer = McapWriter(cut)
     writer.add(McapChannel("/robot/scan", TOPICS["scan"].type, {}), 1, BEGAN, 0, scan(0))
     writer.flush()
     writer.abandon()
-    assert "the file was cut" in Recorded([tmp_path / "c.mcap.active"], ReplayConfig()).losses[0]
+    recorded = Recorded([tmp_path / "c.mcap.active"], ReplayConfig())
+    assert len(list(recorded.messages())) == 1
+    assert "c.mcap.active: the file was cut" in recorded.losses()[0]
 
 
 @pytest.mark.parametrize(
@@ -221,6 +234,109 @@ def test_what_is_not_there_cannot_be_played(recording, config, said):
 def test_a_wrong_configuration_is_refused(config):
     with pytest.raises(ValueError, match=next(iter(config))):
         ReplayConfig(**config)
+
+
+# ---- what is missing ----
+
+
+def numbers_heard(path, **config):
+    """Play onto a bus; return (publisher, number) of each scan, and what was played."""
+    bus = MemoryBus()
+    heard = []
+    bus.subscribe(
+        topic_key("robot/scan", TOPICS["scan"].type), lambda arrival: heard.append(arrival.attachment)
+    )
+    config = ReplayConfig(rate=0.0, **config)
+    recorded = Recorded([path], config)
+    control = Control()
+    with BusPort("player", bus.join, publishes=("scan",)) as port:
+        control.stopping = lambda: len(heard) >= 30
+        play(recorded, config, control, port.publish_raw, lambda now_ns: None)
+        assert int(port.counters()["scan.published"]) == len(heard)
+    return [(one.gid, one.sequence) for one in heard], recorded
+
+
+def test_the_numbers_that_listeners_see_have_the_hole_of_the_recording(tmp_path):
+    rows = [("scan", n * S // 10, scan(n)) for n in range(20)]
+    path = write(tmp_path / "a.mcap", rows, first=101, missing=range(106, 116))
+    heard, recorded = numbers_heard(path)
+    # 1 .. 5, and on after ten that are not there.
+    assert [number for _, number in heard] == [*range(1, 6), *range(16, 31)]
+    assert len({gid for gid, _ in heard}) == 1
+    assert recorded.losses() == ["10 messages of /robot/scan, by its sequence numbers"]
+    assert recorded.gaps() == [{"topic": "/robot/scan", "at_s": 0.5, "first": 106, "count": 10}]
+
+
+def test_what_lies_outside_of_the_played_part_is_not_missing_from_it(tmp_path):
+    rows = [("scan", n * S // 10, scan(n)) for n in range(20)]
+    path = write(tmp_path / "a.mcap", rows, missing=range(6, 16))
+    for config in ({"start_s": 0.5}, {"duration_s": 0.5}):
+        heard, recorded = numbers_heard(path, **config)
+        assert [number for _, number in heard] == list(range(1, len(heard) + 1))
+        assert recorded.losses() == recorded.gaps() == []
+    assert numbers_heard(path, start_s=0.3, duration_s=0.4)[1].gaps()[0]["count"] == 10
+
+
+def test_the_begin_of_a_loop_is_no_hole_and_no_message_from_before(recording):
+    heard, recorded = numbers_heard(recording, loop=True, topics=("scan",))
+    assert [number for _, number in heard] == list(range(1, 31))
+    assert recorded.losses() == []
+
+
+def test_each_publisher_of_the_recording_is_heard_as_one_of_its_own(tmp_path):
+    writer = McapWriter(tmp_path / "a.mcap")
+    for n, gid in ((1, "aa"), (2, "aa"), (1, "bb"), (2, "bb")):
+        at_ns = BEGAN + (n + 13 * (gid == "bb")) * S // 10
+        writer.add(McapChannel("/robot/scan", TOPICS["scan"].type, {"gid": gid}), n, at_ns, at_ns, scan(n))
+    writer.finish()
+    heard, recorded = numbers_heard(tmp_path / "a.mcap")
+    assert [number for _, number in heard] == [1, 2, 1, 2]
+    assert heard[0][0] == heard[1][0] != heard[2][0] == heard[3][0]
+    assert recorded.outages() == ["1.300 s: /robot/scan: a new publisher after 1.2 s without one"]
+
+
+def test_scans_that_were_sent_and_are_not_in_the_map_are_told_beside_those_that_never_came(tmp_path, capsys):
+    path = write(
+        tmp_path / "a.mcap", [("scan", n * S // 10, scan(n)) for n in range(20)], missing=range(6, 16)
+    )
+    stamps_ns = np.array([BEGAN + n * S // 10 for n in range(20)])
+    out = tmp_path / "out"
+    port = ListPort(stop_after=10**9, results_dir=out)
+    port.MAX_IDLE_WAITS = 3
+    player.run(port, player.Config(file=str(path), replay=ReplayConfig(rate=0.0, topics=("scan",))))
+    recorded = Recorded([path], ReplayConfig(topics=("scan",)))
+    write_tum(out / "trajectory.tum", stamps_ns, np.zeros((20, 3)))
+    assert replay_map._report(out, recorded, 0, as_json=False) == 4
+    told = capsys.readouterr()
+    assert told.out.splitlines() == [
+        f"{out}/: 20 of 20 scans mapped",
+        "not in the recording              time s    first   count",
+        "/robot/scan                        0.500        6      10",
+    ]
+    assert told.err == "hallway replay: 10 messages of /robot/scan, by its sequence numbers\n"
+    # Scans 8 and 9 and the last one gave way on their way.
+    write_tum(out / "trajectory.tum", np.delete(stamps_ns, (7, 8, 19)), np.zeros((17, 3)))
+    assert replay_map._report(out, recorded, 0, as_json=False) == 4
+    assert capsys.readouterr().out.splitlines()[3:] == [
+        "sent, and not in the map          time s    first   count",
+        "scan                               0.700        8       2",
+        "scan                               1.900       20       1",
+    ]
+
+
+def test_the_processes_of_a_robot_that_is_played_as_another_are_the_others(tmp_path):
+    status = DiagnosticStatus(level=1, name="robot/matcher", message="m", hardware_id="h", values=[])
+    payload = encode(DiagnosticArray(header=header(BEGAN, ""), status=[status]))
+    bus = MemoryBus()
+    health = Health(bus, "bob")
+    with BusPort("player", bus.join, publishes=("diagnostics",), robot="bob") as port:
+        port.publish_raw("diagnostics", payload)
+        assert "matcher" not in health.vitals()
+        port.publish_raw("diagnostics", in_name_of("bob", payload))
+        vital = health.vitals()["matcher"]
+    assert (vital.level, vital.text, vital.stamp_ns) == ("warn", "m", BEGAN)
+    assert in_name_of("robot", payload) == payload
+    assert in_name_of("bob", b"rubbish") == b"rubbish"
 
 
 # ---- the player process ----
