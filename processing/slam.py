@@ -46,9 +46,14 @@ class Slam:
         self.odometry = LaserOdometry(self.config.odometry, seed)
         self.mapping = mapping or DpSlam(self.config.mapping, seed)
 
-    def step(self, scan: Scan) -> Step:
-        """Take the next scan; raises ValueError if it has other beams than the first."""
-        match = self.odometry.step(scan)
+    def step(self, scan: Scan, missed: int = 0) -> Step:
+        """Take the next scan; raises ValueError if it has other beams than the first.
+
+        Args:
+            scan: What the laser sees now.
+            missed: How many scans before this one never came.
+        """
+        match = self.odometry.step(scan, missed)
         return Step(match, self.mapping.step(scan, match.motion))
 
     def finish(self) -> None:

@@ -124,12 +124,12 @@ def feed(
     where: Whereabouts | None = None,
 ) -> None:
     """Take every scan of a log, until asked to stop."""
-    from runtime.nodes.log_scans import iterate
+    from runtime.nodes.log_scans import counted
 
-    for scan in iterate(log):
+    for scan, missed in counted(log):
         if stopping:
             return
-        step = offline.step(scan)
+        step = offline.step(scan, missed)
         if where is not None:
             where.take(step)
         progress.advance(offline.state)

@@ -6,6 +6,7 @@ from pathlib import Path
 from processing.scan import Beams, Scan
 from runtime.formats.laser_log import LaserLog
 from runtime.formats.logs import open_log
+from runtime.missed import Missed
 
 
 def beams_of(log: LaserLog) -> Beams:
@@ -24,9 +25,23 @@ def beams_of(log: LaserLog) -> Beams:
 
 def iterate(log: LaserLog) -> Iterator[Scan]:
     """Yield every scan in file order under its raw stamp."""
+    for scan, _ in counted(log):
+        yield scan
+
+
+def counted(log: LaserLog) -> Iterator[tuple[Scan, int]]:
+    """Yield every scan as `iterate` does, and how many before it never came into the log.
+
+    They are counted as the live matcher counts them, so that both go over a hole in the same way; where scans
+    have no numbers, none is missing.
+    """
     beams = beams_of(log)
+    missed = Missed()
     for record in log:
-        yield Scan(record.stamp_ns, record.ranges_m, beams)
+        before = 0
+        if record.sequence:
+            before = missed.before(record.publisher, record.sequence, record.stamp_ns, beams.period_s)
+        yield Scan(record.stamp_ns, record.ranges_m, beams), before
 
 
 def scans_of(path: Path | str, topic: str | None = None) -> tuple[Beams, Iterator[Scan]]:

@@ -10,6 +10,7 @@ from processing.scan import Beams, Scan
 from runtime import messages
 from runtime.checkpoint import Checkpoint
 from runtime.messages import BadMessageError
+from runtime.missed import Missed
 from runtime.nodes.convert import motion_to_message, scan_from_message, transform_to_message
 from runtime.nodes.rows import MATCH_COLUMNS, MATCH_FILE, Rows
 from runtime.port import Level, Port, Received
@@ -21,8 +22,6 @@ PUBLISHES: tuple[str, ...] = ("odom", "match_points", "tf")
 _WAIT_S = 0.1
 KEEP_SCANS = 3
 """After a stall of the machine scans come in a burst; each is worked in as long as that is quick."""
-MISSED_MAX = 50
-"""After five seconds without a scan the last velocity tells nothing more."""
 CHECKPOINT_NS = 500_000_000
 """So much at most is forgotten when the process is killed; the next one has its local map and its frame."""
 _LEVELS: dict[Tracking, Level] = {
@@ -47,7 +46,7 @@ def run(port: Port, config: Config) -> int:
     if kept is not None:
         port.count("resumptions")
         port.log.warning("goes on where the process before it was killed")
-    odometry, counted = kept or (LaserOdometry(config.odometry, port.seed), _Counted())
+    odometry, missed = kept or (LaserOdometry(config.odometry, port.seed), Missed())
     scans = Scans(port)
     with Rows(port.results_dir, MATCH_FILE, MATCH_COLUMNS) as rows:
         port.ready()
@@ -57,7 +56,9 @@ def run(port: Port, config: Config) -> int:
                 continue
             try:
                 scan = scan_from_message(received.message)
-                match = odometry.step(scan, counted.missed(received, scan))
+                period_s = scan.beams.period_s
+                before = missed.before(received.gid, received.sequence, scan.stamp_ns, period_s)
+                match = odometry.step(scan, before)
             except (BadMessageError, ValueError) as error:
                 port.count("refused_scans")
                 port.report("error", f"scan refused: {error}")
@@ -65,7 +66,7 @@ def run(port: Port, config: Config) -> int:
             publish(port, match)
             # After the answer is out: nobody waits for this.
             _note(rows, match)
-            if checkpoint.due(scan.stamp_ns) and not checkpoint.write(scan.stamp_ns, (odometry, counted)):
+            if checkpoint.due(scan.stamp_ns) and not checkpoint.write(scan.stamp_ns, (odometry, missed)):
                 port.count("checkpoints_failed")
     return 0
 
@@ -99,24 +100,6 @@ class Scans:
         received = waiting[-1] if waiting else self._scans.wait(_WAIT_S)
         self._given_ns = None if received is None else self._port.clock.now_ns()
         return received
-
-
-class _Counted:
-    """Knows how many scans never came here: by the laser's numbers, or by the stamps when it began anew."""
-
-    def __init__(self) -> None:
-        self._gid, self._sequence, self._stamp_ns = b"", -1, 0
-
-    def missed(self, received: Received, scan: Scan) -> int:
-        """Return how many are missing before this one."""
-        if self._stamp_ns == 0:
-            missed = 0
-        elif received.gid == self._gid and received.sequence > self._sequence >= 0:
-            missed = received.sequence - self._sequence - 1
-        else:
-            missed = round((scan.stamp_ns - self._stamp_ns) / (scan.beams.period_s * 1e9)) - 1
-        self._gid, self._sequence, self._stamp_ns = received.gid, received.sequence, scan.stamp_ns
-        return min(max(missed, 0), MISSED_MAX)
 
 
 def publish(port: Port, match: Match) -> None:

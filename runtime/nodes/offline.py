@@ -59,9 +59,9 @@ class OfflineRun:
         self.states: Counter[str] = Counter()
         self.state = ""
 
-    def step(self, scan: Scan) -> Step:
-        """Take the next scan."""
-        step = self._slam.step(scan)
+    def step(self, scan: Scan, missed: int = 0) -> Step:
+        """Take the next scan, before which `missed` others never came."""
+        step = self._slam.step(scan, missed)
         self._stamps_ns.append(scan.stamp_ns)
         points_laser, _ = end_points(scan, step.match.motion.twist)
         self._points_laser.append(points_laser.astype(np.float32))
