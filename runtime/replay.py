@@ -15,14 +15,13 @@ from runtime.formats.mcap_index import McapIndex
 from runtime.formats.mcap_log import McapMessage, McapReader
 from runtime.messages import BadMessageError, decode, encode, peek_stamp_ns
 from runtime.missing import Account
+from runtime.pace import Control, Pace
 from runtime.topics import TOPICS
 
 REFUSED = ("cmd_vel",)
 """Topics that move a robot: played only when named."""
 UNPLAYED = ("recording", "clock", "diagnostics")
 """What a player says itself, or what would speak for processes that do not run."""
-_SLICE_S = 0.05
-CLOCK_NS = 50_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,17 +44,6 @@ class ReplayConfig:
         for name in ("start_s", "duration_s"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} = {getattr(self, name)}, must be at least 0")
-
-
-@dataclass(slots=True)
-class Control:
-    """What a person changes while a recording plays."""
-
-    paused: bool = False
-    steps: int = 0
-    """Messages to play although paused."""
-    rate: float = 1.0
-    stopping: Callable[[], bool] = lambda: False
 
 
 @dataclass(slots=True)
@@ -100,6 +88,12 @@ class Recorded:
         self.duration_s = max(ended_ns - self.began_ns, 0) / 1e9
         self.played = self._choose()
         self._account = Account()
+
+    @property
+    def seed(self) -> int | None:
+        """Of the recorded run, if it is known."""
+        text = self.metadata.get("hallway", {}).get("seed", "")
+        return int(text) if text.isdigit() else None
 
     def messages(self) -> Iterator[tuple[McapMessage, int]]:
         """Yield the messages of the chosen topics and time, in the order of the files.
@@ -179,7 +173,7 @@ def play(
     control.rate = config.rate
     while True:
         played.complete = False
-        pace = _Pace(control, publish_clock, now_ns, sleep)
+        pace = Pace(control, publish_clock, now_ns, sleep)
         for message, skipped in recorded.messages():
             if not pace.wait_for(message.log_ns):
                 return played
@@ -212,55 +206,3 @@ def _count(played: Played, message: McapMessage) -> None:
         stamp_ns = peek_stamp_ns(message.payload)
         if stamp_ns is not None:
             played.scan_stamps_ns.append(stamp_ns)
-
-
-class _Pace:
-    """Turns recorded time into the present, through pauses and changes of rate."""
-
-    def __init__(
-        self,
-        control: Control,
-        publish_clock: Callable[[int], None],
-        now_ns: Callable[[], int],
-        sleep: Callable[[float], None],
-    ) -> None:
-        self._control, self._publish_clock, self._now_ns, self._sleep = control, publish_clock, now_ns, sleep
-        self._anchor: tuple[int, int, float] | None = None  # present, recorded time there, rate
-        self._recorded_ns = 0
-        self._clock_ns: int | None = None
-        self.late_ns = 0
-
-    def wait_for(self, recorded_ns: int) -> bool:
-        """Wait until a recorded moment is due; False when asked to stop."""
-        c = self._control
-        while not c.stopping():
-            if c.paused:
-                self._anchor = None
-                if c.steps > 0:
-                    c.steps -= 1
-                    return self._reach(recorded_ns, late_ns=0)
-                self._sleep(_SLICE_S)
-                continue
-            if c.rate == 0:
-                return self._reach(recorded_ns, late_ns=0)
-            now = self._now_ns()
-            if self._anchor is None or self._anchor[2] != c.rate:
-                self._anchor = (now, self._recorded_ns or recorded_ns, c.rate)
-            began, recorded_began, rate = self._anchor
-            left_ns = began + round((recorded_ns - recorded_began) / rate) - now
-            if left_ns <= 0:
-                return self._reach(recorded_ns, late_ns=-left_ns)
-            self._recorded_ns = max(recorded_ns - round(left_ns * rate), self._recorded_ns)
-            self._tick()
-            self._sleep(min(left_ns / 1e9, _SLICE_S))
-        return False
-
-    def _reach(self, recorded_ns: int, late_ns: int) -> bool:
-        self._recorded_ns, self.late_ns = max(self._recorded_ns, recorded_ns), late_ns
-        self._tick()
-        return True
-
-    def _tick(self) -> None:
-        if self._clock_ns is None or self._recorded_ns - self._clock_ns >= CLOCK_NS:
-            self._clock_ns = self._recorded_ns
-            self._publish_clock(self._recorded_ns)

@@ -4,21 +4,23 @@ import argparse
 import json
 import os
 import re
-import select
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.replay_keys import HELP, Keys
 from runtime.errors import ConfigError, DataLostError
 
 if TYPE_CHECKING:
     from runtime.bus import Bus
-    from runtime.replay import Control, Played, Recorded, ReplayConfig
+    from runtime.clock import Clock
+    from runtime.pace import Control
+    from runtime.replay import Played, Recorded, ReplayConfig
 
-HELP = "space pause or go, s one message, + faster, - slower, q end"
 _NAME = re.compile(r"[a-z][a-z0-9_]*\Z")
 
 
@@ -33,6 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--topics", nargs="+", default=[], metavar="T", help="which topics (default all but cmd_vel)"
     )
     parser.add_argument("--as", dest="robot", metavar="NAME", help="name of the robot (default as recorded)")
+    parser.add_argument(
+        "--domain", type=int, metavar="N", help="ROS domain (default that of the robot if it runs, else 0)"
+    )
     parser.add_argument("--wait", action="store_true", help="begin when somebody listens")
     parser.add_argument("--paused", action="store_true", help=f"start paused; keys: {HELP}")
     parser.add_argument(
@@ -69,43 +74,71 @@ def run(args: argparse.Namespace) -> int:
     if not args.json:
         said = ", ".join(recorded.played)
         print(f"{recorded.duration_s:.1f} s of {said} as robot {robot!r}", file=sys.stderr)
-    with ExitStack() as stack:
-        bus = stack.enter_context(_bus(robot, recorded))
-        played = _play(bus, robot, recorded, config, args)
+    with _stage(robot, recorded, args.domain) as stage:
+        played = _play(stage, robot, recorded, config, args)
     return _report(played, recorded, args)
 
 
+@dataclass(frozen=True, slots=True)
+class _Stage:
+    """Where a recording is played."""
+
+    bus: "Bus"
+    domain: int
+    clock: "Clock"
+    """Of the robot that is played, or that runs here already."""
+
+
 @contextmanager
-def _bus(robot: str, recorded: "Recorded") -> "Iterator[Bus]":
+def _stage(robot: str, recorded: "Recorded", domain: int | None) -> Iterator[_Stage]:
     """Open the bus of a robot of that name: join the one that runs, or be its hub."""
     from runtime import links, messages, rundir
     from runtime.bus_zenoh import ZenohBus
+    from runtime.clock import Clock
+    from runtime.identity import CONFIG_FILE, Identity, left_in
 
     if not rundir.is_running(robot):
-        with rundir.claimed(robot) as run_dir, ZenohBus(links.hub(run_dir)) as bus:
-            yield bus
+        clock = Clock.from_environment()
+        with rundir.claimed(robot) as run_dir:
+            # Whoever records the replay shall know the run as it was, and the domain in which it is played.
+            Identity(recorded.seed, domain or 0, clock.offset_ns).leave(run_dir)
+            if config := recorded.attachments.get(CONFIG_FILE):
+                (run_dir / CONFIG_FILE).write_bytes(config)
+            with ZenohBus(links.hub(run_dir)) as bus:
+                yield _Stage(bus, domain or 0, clock)
         return
-    with ZenohBus(links.visitor(rundir.running(robot))) as bus:
-        endpoints = messages.endpoints_of(bus.tokens("@ros2_lv/*/**"))
+    run_dir = rundir.running(robot)
+    here = left_in(run_dir)
+    domain = here.domain if domain is None else domain
+    with ZenohBus(links.visitor(run_dir)) as bus:
+        endpoints = messages.endpoints_of(bus.tokens(f"@ros2_lv/{domain}/**"))
         spoken = {e.topic.strip("/") for e in endpoints if e.kind == "MP"}
         for name in recorded.played:
             if f"{robot}/{name}" in spoken:
                 rule = f"robot {robot!r} runs and publishes {name} itself"
                 raise ConfigError(f"{rule}; play as another with --as, or fewer --topics")
-        yield bus
+        yield _Stage(bus, domain, Clock(here.clock_offset_ns))
 
 
 def _play(
-    bus: "Bus", robot: str, recorded: "Recorded", config: "ReplayConfig", args: argparse.Namespace
+    stage: _Stage, robot: str, recorded: "Recorded", config: "ReplayConfig", args: argparse.Namespace
 ) -> "Played":
     import signal
 
     from runtime.messages import Clock, time_of
     from runtime.node import BusPort
-    from runtime.replay import Control, in_name_of, play
+    from runtime.pace import Control
+    from runtime.replay import in_name_of, play
 
     name = f"player_{os.getpid()}"
-    port = BusPort(name, lambda: bus, publishes=(*recorded.played, "clock"), robot=robot)
+    port = BusPort(
+        name,
+        lambda: stage.bus,
+        publishes=(*recorded.played, "clock"),
+        robot=robot,
+        domain=stage.domain,
+        clock=stage.clock,
+    )
     control = Control(paused=args.paused, stopping=lambda: port.stopping)
     screen = _Screen(recorded, control, args.json)
 
@@ -124,22 +157,22 @@ def _play(
     numbers = (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, lambda *_: port.stop()) for number in numbers}
     try:
-        with _Keys() as keys, port:
+        with Keys() as keys, port:
             port.ready()
             if args.wait:
-                _wait_for_listener(bus, robot, recorded, port)
+                _wait_for_listener(stage, robot, recorded, port)
             return play(recorded, config, control, publish, publish_clock, sleep=sleep)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
 
 
-def _wait_for_listener(bus: "Bus", robot: str, recorded: "Recorded", port: Any) -> None:
+def _wait_for_listener(stage: _Stage, robot: str, recorded: "Recorded", port: Any) -> None:
     from runtime import messages
 
     wanted = {f"{robot}/{name}" for name in recorded.played}
     while not port.stopping:
-        endpoints = messages.endpoints_of(bus.tokens("@ros2_lv/*/**"))
+        endpoints = messages.endpoints_of(stage.bus.tokens(f"@ros2_lv/{stage.domain}/**"))
         if wanted & {e.topic.strip("/") for e in endpoints if e.kind == "MS"}:
             return
         time.sleep(0.1)
@@ -162,52 +195,6 @@ def _report(played: "Played", recorded: "Recorded", args: argparse.Namespace) ->
     if not played.complete:
         return 130
     return int(DataLostError.exit_code) if report["losses"] else 0
-
-
-class _Keys:
-    """Single keys from the terminal, where there is one; waiting for a key is the pause between messages."""
-
-    def __init__(self) -> None:
-        self._terminal = sys.stdin.fileno() if sys.stdin is not None and sys.stdin.isatty() else None
-        self._before: Any = None
-
-    def __enter__(self) -> "_Keys":
-        if self._terminal is not None:
-            import termios
-            import tty
-
-            self._before = termios.tcgetattr(self._terminal)
-            tty.setcbreak(self._terminal)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._terminal is not None:
-            import termios
-
-            termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._before)
-
-    def poll(self, control: "Control", seconds: float) -> bool:
-        """Wait so long at most, obey the keys that came; False for the key that ends."""
-        if self._terminal is None:
-            time.sleep(seconds)
-            return True
-        if not select.select([self._terminal], [], [], seconds)[0]:
-            return True
-        return all(obey(key, control) for key in os.read(self._terminal, 64).decode(errors="ignore"))
-
-
-def obey(key: str, control: "Control") -> bool:
-    """Do what a key means; False for the key that ends."""
-    if key == " ":
-        control.paused = not control.paused
-    elif key == "s":
-        control.paused = True
-        control.steps += 1
-    elif key in "+=":
-        control.rate = min(control.rate * 2, 100.0)
-    elif key == "-":
-        control.rate = max(control.rate / 2, 0.01) if control.rate else 0.0
-    return key != "q"
 
 
 class _Screen:

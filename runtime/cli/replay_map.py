@@ -36,7 +36,7 @@ def map_live(args: argparse.Namespace, config: "ReplayConfig") -> int:
         raise ConfigError(f"{args.files[0]}: holds no scan; it holds {', '.join(recorded.topics)}")
     out = args.out or Path("results") / f"{args.files[0].name.split('.')[0]}-live"
     check_free(out)
-    graph = _graph(args.files[0].absolute(), config, recorded, args.robot)
+    graph = _graph(args.files[0].absolute(), config, recorded, args.robot, args.domain)
     with tempfile.TemporaryDirectory(prefix="hallway-replay-") as folder:
         file = Path(folder) / "replay.yaml"
         file.write_text(to_yaml(graph), encoding="utf-8")
@@ -46,7 +46,9 @@ def map_live(args: argparse.Namespace, config: "ReplayConfig") -> int:
     return _report(out, recorded, code, args.json)
 
 
-def _graph(file: Path, config: "ReplayConfig", recorded: "Recorded", robot: str | None) -> dict[str, Any]:
+def _graph(
+    file: Path, config: "ReplayConfig", recorded: "Recorded", robot: str | None, domain: int | None
+) -> dict[str, Any]:
     from runtime.config import parse_yaml, plain
 
     nodes: dict[str, Any] = {}
@@ -54,11 +56,11 @@ def _graph(file: Path, config: "ReplayConfig", recorded: "Recorded", robot: str 
     if text:
         data = parse_yaml(text, f"{file}: config.yaml")
         nodes = data.get("nodes", {}) if isinstance(data, dict) else {}
-    seed = recorded.metadata.get("hallway", {}).get("seed", "")
     replay = plain(config) | {"topics": ["scan"]}
     return {
         "robot": robot or "replay",
-        "seed": int(seed) if seed.isdigit() else 0,
+        "domain": domain or 0,
+        "seed": recorded.seed or 0,
         "nodes": {
             "mapper": {"module": "mapper", "config": nodes.get("mapper") or {}},
             "matcher": {"module": "matcher", "after": ["mapper"], "config": nodes.get("matcher") or {}},

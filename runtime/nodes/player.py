@@ -6,8 +6,9 @@ from pathlib import Path
 
 from runtime.errors import ConfigError
 from runtime.messages import Clock, stamp_ns_of, time_of
+from runtime.pace import Control
 from runtime.port import Port
-from runtime.replay import Control, Played, Recorded, ReplayConfig, play
+from runtime.replay import Played, Recorded, ReplayConfig, play
 from runtime.results import to_json
 
 SUBSCRIBES: tuple[str, ...] = ("pose",)

@@ -18,7 +18,7 @@ from runtime.clock import Clock
 from runtime.formats.mcap_log import McapChannel, McapReader
 from runtime.formats.mcap_writer import McapWriter
 from runtime.identity import Identity
-from runtime.messages import LaserScan, encode, header
+from runtime.messages import LaserScan, encode, header, topic_key
 from runtime.node import BusPort
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -126,6 +126,29 @@ def _wait(done, within_s=20.0):
     assert done()
 
 
+def test_a_replay_in_a_domain_of_its_own_is_recorded_there_as_the_run_that_it_was(desk, tmp_path):
+    about = {"hallway": {"robot": "robot", "seed": "5"}}
+    writer = McapWriter(tmp_path / "run.mcap", about, {"config.yaml": b"nodes: {}\n"})
+    for n in range(1, 21):
+        at_ns = 1_700_000_000 * S + n * S // 20
+        writer.add(SCAN, n, at_ns, at_ns, payload(n))
+    writer.finish()
+    player = desk("replay", "run.mcap", "--as", "ghost", "--wait", "--domain", "7", "--json")
+    hub = tmp_path / "run" / "ghost" / "hub.sock"
+    _wait(lambda: hub.exists() or player.poll() is not None)
+    recorder = desk("record", "--robot", "ghost", "--out", tmp_path / "copy.mcap", "--json")
+    _, told = player.communicate(timeout=60)
+    assert player.returncode == 0, told
+    _, told = recorder.communicate(timeout=30)
+    assert recorder.returncode == 0, told
+    reader = McapReader(tmp_path / "copy.mcap")
+    scans = [m for m in reader.messages() if m.channel.name == "scan"]
+    assert len(scans) == 20
+    assert scans[0].channel.metadata["zenoh_key"].startswith("7/ghost/scan/")
+    assert reader.state.run_seed == 5
+    assert reader.state.run_config == "nodes: {}\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -185,6 +208,29 @@ def test_a_recording_is_made_by_the_domain_the_clock_and_the_seed_of_its_robot(
     assert all(0 <= m.log_ns - m.publish_ns < 5 * S for m in scans)
     assert state.run_seed == 5
     assert "no scan" not in capsys.readouterr().err
+
+
+def test_a_recording_is_played_in_the_domain_of_the_robot_that_runs(robot_in_domain_7, tmp_path, capsys):
+    writer = McapWriter(tmp_path / "run.mcap")
+    battery = McapChannel("/robot/battery", "sensor_msgs/msg/BatteryState", {"gid": "aa"})
+    for n in range(1, 4):
+        writer.add(battery, n, n * S, n * S, b"\x00\x01\x00\x00")
+        writer.add(SCAN, n, n * S, n * S, payload(n))
+    writer.finish()
+    heard = []
+    with ZenohBus(links.visitor(robot_in_domain_7)) as bus:
+        for domain in (0, 7):
+            key = topic_key("ghost/battery", battery.msgtype, domain)
+            bus.subscribe(key, lambda arrival: heard.append(arrival.key))
+        play = ["replay", str(tmp_path / "run.mcap"), "--as", "ghost", "--rate", "0"]
+        assert main([*play, "--topics", "battery"]) == 0
+        _wait(lambda: len(heard) == 3)
+        assert {key.partition("/")[0] for key in heard} == {"7"}
+        # It says scans there, and nowhere else.
+        assert main([*play, "--topics", "scan"]) == 2
+        assert main([*play, "--topics", "battery", "scan", "--domain", "0"]) == 0
+        _wait(lambda: len(heard) == 6)
+        assert {key.partition("/")[0] for key in heard[3:]} == {"0"}
 
 
 def test_a_recording_without_a_scan_says_so(robot_in_domain_7, tmp_path, capsys):
