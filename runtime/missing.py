@@ -6,9 +6,10 @@ counted inside the file, and where the file is cut or damaged.
 
 from collections.abc import Collection
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from runtime.formats.mcap_log import McapChannel, McapMessage, ReadState
+from runtime.formats.mcap_log import McapChannel, McapMessage, McapReader, ReadState
 from runtime.messages import BadMessageError, decode
 from runtime.recording import DISK_FULL, END_RECORD, STATUS_TOPIC, STATUS_TYPE
 from runtime.topics import TOPICS
@@ -162,6 +163,21 @@ class Account:
             self.outages.append(Outage(topic, message.log_ns, silent_ns))
         known.add(publisher)
         self._heard_ns[topic] = message.log_ns
+
+
+def account_of(*files: Path) -> Account:
+    """Read one recording, in one file or several, for what is missing from it.
+
+    Raises:
+        FormatError: One is no MCAP file.
+    """
+    account = Account()
+    for file in files:
+        reader = McapReader(file)
+        for message in reader.messages():
+            account.see(message)
+        account.end(reader.state, str(file) if len(files) > 1 else "")
+    return account
 
 
 def _is_shared(name: str) -> bool:

@@ -82,21 +82,20 @@ def _convert(source: Path, partial: Path, kind: str, topic: str | None) -> dict[
 def _from_recording(source: Path, partial: Path, kind: str) -> dict[str, Any]:
     from runtime.formats import write_bags
     from runtime.formats.mcap_log import McapReader
+    from runtime.missing import account_of
     from runtime.recovery import salvage
 
     reader = McapReader(source)
     not_held: list[str] = []
     if kind == "mcap":
-        count, losses = salvage(source, partial)[1:]
+        count = salvage(source, partial)[1]
     elif kind == "ros2":
         count = write_bags.write_ros2(partial, reader.messages())
         not_held = ["the publishers' sequence numbers", "metadata and configuration of the run"]
-        losses = reader.state.losses()
     else:
         count, left_out = write_bags.write_ros1(partial, reader.messages())
         not_held = [f"{n} messages of {topic}: only laser scans go there" for topic, n in left_out.items()]
-        losses = reader.state.losses()
-    losses = [f"{source}: {one}" for one in losses]
+    losses = [f"{source}: {one}" for one in account_of(source).losses()]
     return {"messages": count, "what": "messages", "not_held": not_held, "losses": losses}
 
 

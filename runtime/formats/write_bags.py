@@ -5,6 +5,7 @@ stamps stand in the headers.
 """
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ POSE_CHANNEL = McapChannel("/robot/pose", "geometry_msgs/msg/PoseStamped", {"gid
 
 
 def scan_messages(log: LaserLog) -> Iterator[McapMessage]:
-    """Yield a log as the messages that a laser would have published."""
+    """Yield a log as the messages that its lasers would have published, with the holes that it has."""
     g = log.geometry
     arrived_ns = -1
     for number, record in enumerate(log, start=1):
@@ -48,7 +49,8 @@ def scan_messages(log: LaserLog) -> Iterator[McapMessage]:
             ranges=np.ascontiguousarray(record.ranges_m),
             intensities=np.zeros(0, dtype=np.float32),
         )
-        yield McapMessage(SCAN_CHANNEL, number, arrived_ns, arrived_ns, encode(message))
+        channel = replace(SCAN_CHANNEL, metadata={"gid": f"{record.publisher:032x}"})
+        yield McapMessage(channel, record.sequence or number, arrived_ns, arrived_ns, encode(message))
 
 
 def pose_messages(trajectory: Trajectory) -> Iterator[McapMessage]:

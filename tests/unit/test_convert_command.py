@@ -138,6 +138,24 @@ def test_a_cut_recording_becomes_a_whole_one_and_costs_exit_code_4(recording, tm
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.mcap", "run2.mcap.active", "whole.mcap"]
 
 
+@pytest.mark.parametrize("target", ["b.mcap", "b", "b.bag", "b.clf"])
+def test_a_recording_with_a_hole_costs_exit_code_4_whatever_it_becomes(clf, tmp_path, capsys, target):
+    assert main(["convert", str(clf), str(tmp_path / "whole.mcap")]) == 0
+    writer = McapWriter(tmp_path / "a.mcap")
+    for message in McapReader(tmp_path / "whole.mcap").messages():
+        if message.sequence != 3:
+            at_ns = message.log_ns
+            writer.add(message.channel, message.sequence, at_ns, at_ns, message.payload)
+    writer.finish()
+    capsys.readouterr()
+    assert main(["convert", str(tmp_path / "a.mcap"), str(tmp_path / target)]) == 4
+    assert "a.mcap: 1 messages of /robot/scan, by its sequence numbers" in capsys.readouterr().err
+    # Chosen by its topic, the laser still has its hole, and its publisher.
+    topic = ["--topic", "/robot/scan"]
+    assert main(["convert", str(tmp_path / "a.mcap"), str(tmp_path / "c.mcap"), *topic]) == 4
+    assert [m.sequence for m in McapReader(tmp_path / "c.mcap").messages()] == [1, 2, 4, 5]
+
+
 def test_a_trajectory_becomes_a_recording_of_poses_and_comes_back(tmp_path):
     poses = np.array([[1.0, 2.0, 0.5], [3.0, -4.0, -2.0]])
     write_tum(tmp_path / "t.tum", np.array([10**9, 3 * 10**9]), poses)

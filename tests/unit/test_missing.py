@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from runtime.formats.logs import open_log
-from runtime.formats.mcap_log import McapChannel, McapReader
+from runtime.formats.mcap_log import McapChannel
 from runtime.formats.mcap_writer import McapWriter
 from runtime.messages import DiagnosticArray, DiagnosticStatus, KeyValue, LaserScan, encode, header
-from runtime.missing import Account, Hole, Outage
+from runtime.missing import Hole, Outage, account_of
 from runtime.recording import END_RECORD, STATUS_TOPIC, STATUS_TYPE
 from runtime.recording_info import describe
 from runtime.replay import Recorded, ReplayConfig
@@ -43,16 +43,6 @@ def write(path, rows, end=None):
         return writer.active_path
     writer.finish({END_RECORD: end})
     return path
-
-
-def account_of(*paths):
-    account = Account()
-    for path in paths:
-        reader = McapReader(path)
-        for message in reader.messages():
-            account.see(message)
-        account.end(reader.state)
-    return account
 
 
 def test_holes_in_the_numbers_of_a_publisher_are_found_where_they_are(tmp_path):
