@@ -1,0 +1,28 @@
+"""How many scans never came: by the numbers of the laser, or by the stamps where there are none to go by."""
+
+import pytest
+
+from runtime.missed import MISSED_MAX, Missed
+
+S = 10**9
+
+
+def counts(*scans):
+    """Show (publisher, number, second) of scans that come ten times a second."""
+    missed = Missed()
+    return [missed.before(publisher, number, round(at_s * S), 0.1) for publisher, number, at_s in scans]
+
+
+@pytest.mark.parametrize(
+    ("scans", "expected"),
+    [
+        ([("a", 7, 1.0), ("a", 8, 1.1), ("a", 11, 1.2)], [0, 0, 2]),  # stamps jitter; numbers do not
+        ([("a", 7, 1.0), ("b", 1, 2.3), ("b", 2, 2.4)], [0, 12, 0]),  # another process, 1.3 s later
+        ([("a", 7, 1.0), ("b", 40, 1.1)], [0, 0]),  # whose numbers say nothing of the first one's
+        ([("a", -1, 1.0), ("a", -1, 1.3)], [0, 2]),  # no numbers
+        ([("a", 7, 1.0), ("a", 7, 1.0), ("a", 6, 0.9)], [0, 0, 0]),  # again, and out of order
+        ([("a", 1, 1.0), ("a", 5000, 500.0)], [0, MISSED_MAX]),
+    ],
+)
+def test_what_never_came_is_counted(scans, expected):
+    assert counts(*scans) == expected
