@@ -177,11 +177,12 @@ def test_a_recording_without_a_scan_says_so(robot_in_domain_7, tmp_path, capsys)
 def test_a_ring_is_kept_by_its_name_and_nothing_else_of_its_folder(robot_in_domain_7, tmp_path, capsys):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "other.mcap").write_bytes(b"of somebody else")
-    assert main(["record", "--robot", "ghost", "--keep", "--out", str(tmp_path / "kept")]) == 2
+    keep = ["record", "--robot", "ghost", "--keep", "--out", str(tmp_path / "kept")]
+    assert main(keep) == 2
     assert "keeps no ring here" in capsys.readouterr().err
     ring = ["--ring", "10", "--duration", "0.5", "--out", str(tmp_path / "a.mcap")]
     assert main(["record", "--robot", "ghost", *ring]) == 0
-    assert main(["record", "--robot", "ghost", "--keep", "--out", str(tmp_path / "kept")]) == 0
+    assert main(keep) == 0
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["a_00000000.mcap"]
 
 
