@@ -15,7 +15,8 @@ from runtime.identity import CONFIG_FILE, Identity, installed, left_in
 from runtime.messages import topic_key
 from runtime.nodes.keeping import QUESTION, RingKeeper
 from runtime.port import Port, Received, Subscription
-from runtime.recording import Recording, RecordingConfig, ring_files
+from runtime.recording import Recording, RecordingConfig
+from runtime.recording_names import ring_files
 from runtime.topics import TOPICS
 from runtime.topics import topic as topic_named
 

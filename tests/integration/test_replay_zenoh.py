@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -172,6 +173,13 @@ def test_a_recording_without_a_scan_says_so(robot_in_domain_7, tmp_path, capsys)
     code, scans, _ = record(tmp_path, "--duration", "0.5", "--domain", "0")
     assert (code, scans) == (0, [])
     assert "no scan came from robot 'ghost' in ROS domain 0" in capsys.readouterr().err
+
+
+def test_a_recording_that_the_disk_ends_is_over_at_once(robot_in_domain_7, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("runtime.recording.shutil.disk_usage", lambda folder: SimpleNamespace(free=0))
+    assert main(["record", "--robot", "ghost", "--out", str(tmp_path / "a.mcap"), "--json"]) == 4
+    report = json.loads(capsys.readouterr().out)
+    assert (report["files"], report["stopped"]) == ([], "the disk was full")
 
 
 def test_a_ring_is_kept_by_its_name_and_nothing_else_of_its_folder(robot_in_domain_7, tmp_path, capsys):

@@ -4,6 +4,7 @@ import dataclasses
 import logging
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -236,6 +237,13 @@ def test_the_node_says_what_was_lost_in_its_report_and_exit_code(tmp_path, monke
     monkeypatch.setattr(recorder, "_drain", lambda port, subscriptions, recording, *_: _lose(recording))
     assert recorder.run(port, config(tmp_path / "a.mcap")) == 4
     assert port.reports[-1][:2] == ("warn", "5 messages lost")
+
+
+def test_the_node_says_why_it_records_nothing_any_more(tmp_path, monkeypatch):
+    port = ListPort(run_dir=tmp_path)
+    monkeypatch.setattr("runtime.recording.shutil.disk_usage", lambda folder: SimpleNamespace(free=0))
+    recorder.run(port, recorder.Config(file=str(tmp_path / "a.mcap")))
+    assert port.reports[-1][:2] == ("error", "the disk was full: 0 messages not recorded")
 
 
 def _lose(recording):
