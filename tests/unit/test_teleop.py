@@ -1,11 +1,14 @@
 """From keys and sticks to wishes, from wishes to messages, and what a person is shown."""
 
 import struct
+from types import SimpleNamespace
 
 import pytest
 
 from drivers.create.operators import Intent
 from runtime import messages
+from runtime.bus_memory import MemoryBus
+from runtime.cli.teleop import _Desk
 from runtime.clock import ManualClock
 from runtime.nodes import gamepad, keyboard, teleop
 from runtime.nodes.gamepad import Pad
@@ -225,6 +228,24 @@ def test_the_wish_to_keep_the_last_minutes_moves_nothing():
     assert kept == [1]
     sent = [input_of(Received("cmd_vel", message)) for message in port.said("cmd_vel")]
     assert [one.stamp_ns // MS for one in sent[:2]] == [900, 960]
+
+
+def test_the_person_at_the_desk_is_told_what_was_kept_and_where(capsys):
+    with MemoryBus() as bus:
+        desk = _Desk(SimpleNamespace(robot="robot"), teleop.Config())
+        desk._bus = bus
+        told = []
+        for _ in range(2):
+            desk._keep()
+            desk._asking.join()
+            told.append(desk._painter.note)
+            bus.answer("hallway/robot/keep", lambda asked: b"/results/a/ring-kept-1")
+        desk._painter.show(SimpleNamespace(robot_line=lambda: "armed"))
+    assert told == [
+        "nothing was kept: no recorder of this robot has a ring",
+        "the last minutes are kept on the robot: ring-kept-1",
+    ]
+    assert capsys.readouterr().out == "armed; the last minutes are kept on the robot: ring-kept-1\n"
 
 
 class Patience(ManualClock):
