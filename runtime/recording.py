@@ -4,7 +4,6 @@ Nothing here waits for the bus or is waited for by it: whoever feeds a recording
 what did not fit in them is counted into the file, once a second, as a message of its own.
 """
 
-import re
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ from pathlib import Path
 from runtime.formats.mcap_log import ACTIVE_SUFFIX, McapChannel
 from runtime.formats.mcap_writer import McapWriter
 from runtime.messages import DiagnosticArray, DiagnosticStatus, KeyValue, encode, header
+from runtime.recording_names import RING_DIGITS, SPLIT_DIGITS, earlier_in_ring, number_of, numbered
 
 STATUS_TOPIC = "recording"
 """Under the robot's name, in files only: what the recorder could not keep."""
@@ -22,8 +22,6 @@ END_RECORD = "hallway.end"
 DISK_FULL = "the disk was full"
 FLUSH_NS = 1_000_000_000
 RING_FILES = 10
-SPLIT_DIGITS, RING_DIGITS = 3, 8
-"""Of the numbers in the names of files; a ring goes on for weeks, and its names must sort."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,8 +112,8 @@ class Recording:
         """Topics of which something came, without the robot's name."""
         path.parent.mkdir(parents=True, exist_ok=True)
         # A ring also bounds what an earlier recorder of this run has left.
-        self.files: list[Path] = _earlier(path) if config.ring_s else []
-        self._opened = _number_of(self.files[-1]) + 1 if self.files else 0
+        self.files: list[Path] = earlier_in_ring(path) if config.ring_s else []
+        self._opened = number_of(self.files[-1]) + 1 if self.files else 0
         self._flushed_ns = now_ns
         self._flushed_count = 0
         self._writer: McapWriter | None = None
@@ -196,15 +194,12 @@ class Recording:
         """Return the next name; a file of an earlier recording, whole or cut, is never touched."""
         base = self._base
         number = self._opened
-        path = self._numbered(number) if self._splitting else base
+        digits = RING_DIGITS if self._config.ring_s else SPLIT_DIGITS
+        path = numbered(base, number, digits) if self._splitting else base
         while path.exists() or path.with_name(path.name + ACTIVE_SUFFIX).exists():
             number += 1
-            path = self._numbered(number)
+            path = numbered(base, number, digits)
         return path
-
-    def _numbered(self, number: int) -> Path:
-        digits = RING_DIGITS if self._config.ring_s else SPLIT_DIGITS
-        return self._base.with_name(f"{self._base.stem}_{number:0{digits}d}{self._base.suffix}")
 
     def _split_due(self, now_ns: int) -> bool:
         assert self._writer is not None
@@ -250,21 +245,3 @@ class Recording:
         )
         payload = encode(DiagnosticArray(header=header(now_ns, ""), status=[status]))
         writer.add(self._status, 0, now_ns, now_ns, payload)
-
-
-def ring_files(path: Path) -> list[Path]:
-    """Return what stands in a ring of this name now, whole, cut or being written, oldest first."""
-    ours = re.compile(
-        rf"{re.escape(path.stem)}_\d{{{RING_DIGITS}}}{re.escape(path.suffix)}({re.escape(ACTIVE_SUFFIX)})?"
-    )
-    found = path.parent.iterdir() if path.parent.is_dir() else ()
-    return sorted(one for one in found if ours.fullmatch(one.name))
-
-
-def _earlier(path: Path) -> list[Path]:
-    """Return the files that an earlier recorder left in the ring, by the names they have when whole."""
-    return sorted({one.with_name(one.name.removesuffix(ACTIVE_SUFFIX)) for one in ring_files(path)})
-
-
-def _number_of(path: Path) -> int:
-    return int(path.stem.rsplit("_", 1)[-1])

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import re
 import shutil
 import time
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 from runtime.formats.errors import FormatError
 from runtime.formats.mcap_log import ACTIVE_SUFFIX, McapReader
 from runtime.formats.mcap_writer import McapWriter, is_written
-from runtime.recording import SPLIT_DIGITS, ring_files
+from runtime.recording_names import ring_files, unfinished
 
 
 def keep_ring(ring: Path, folder: Path, within_s: float) -> list[Path]:
@@ -29,24 +28,34 @@ def keep_ring(ring: Path, folder: Path, within_s: float) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     kept = []
     for path in ring_files(ring):
-        target = folder / path.name
-        try:
-            os.link(path, target)
-        except OSError as error:
-            if error.errno == errno.ENOENT:
-                continue  # the ring went on in this moment; that file was the oldest
-            shutil.copyfile(path, target)  # another disk
-        kept.append(target)
+        # The ring goes on meanwhile: the newest file may have got its name since, the oldest may be gone.
+        for name in dict.fromkeys((path.name, path.name.removesuffix(ACTIVE_SUFFIX))):
+            try:
+                _link(path.with_name(name), folder / name)
+            except FileNotFoundError:
+                continue
+            kept.append(folder / name)
+            break
     end = time.monotonic() + within_s
     for index, path in enumerate(kept):
         if path.suffix != ACTIVE_SUFFIX:
             continue
-        written = ring.with_name(path.name)
-        while written.exists() and time.monotonic() < end:
-            time.sleep(0.1)
-        if not written.exists() and McapReader.is_whole(path):
+        with path.open("r+b") as file:
+            while is_written(file) and time.monotonic() < end:
+                time.sleep(0.1)
+        if McapReader.is_whole(path):
             kept[index] = path.rename(path.with_suffix(""))
     return kept
+
+
+def _link(path: Path, target: Path) -> None:
+    """Give a file a second name; a copy where the disk is another one, or knows no second names."""
+    try:
+        os.link(path, target)
+    except OSError as error:
+        if error.errno == errno.ENOENT:
+            raise
+        shutil.copyfile(path, target)
 
 
 def recover_cut(recording: Path) -> list[str]:
@@ -60,11 +69,7 @@ def recover_cut(recording: Path) -> list[str]:
     Returns:
         For each unfinished file what became of it, in words.
     """
-    name = re.compile(
-        rf"{re.escape(recording.stem)}(_\d{{{SPLIT_DIGITS},}})?\.mcap{re.escape(ACTIVE_SUFFIX)}"
-    )
-    found = recording.parent.iterdir() if recording.parent.is_dir() else ()
-    told = (_recover(cut) for cut in sorted(found) if name.fullmatch(cut.name))
+    told = map(_recover, unfinished(recording))
     return [line for line in told if line]
 
 

@@ -147,6 +147,8 @@ def _keep(args: argparse.Namespace, folder: Path) -> int:
     from runtime.recovery import keep_ring
 
     ring = rundir.run_dir(args.robot) / RING
+    if not ring.is_symlink() and not rundir.is_running(args.robot):
+        return _keep_there(args)
     if not ring.is_symlink():
         raise ConfigError(
             f"robot {args.robot!r} keeps no ring here; start one with `hallway record --ring 300`"
@@ -157,6 +159,19 @@ def _keep(args: argparse.Namespace, folder: Path) -> int:
     report = {"folder": str(folder), "files": [path.name for path in files]}
     print(json.dumps(report) if args.json else f"{folder}/: {', '.join(report['files']) or 'nothing'}")
     return 0 if files else 1
+
+
+def _keep_there(args: argparse.Namespace) -> int:
+    """Have the rings of a robot kept on its own machine; 0 when there was one."""
+    from runtime import gate
+    from runtime.bus_zenoh import ZenohBus
+    from runtime.nodes.keeping import ask_to_keep
+
+    with ZenohBus(gate.visit(args.robot)) as bus:
+        folders = ask_to_keep(bus, args.robot)
+    report = {"folders_there": folders}
+    print(json.dumps(report) if args.json else f"on the robot: {', '.join(folders) or 'no ring'}")
+    return 0 if folders else 1
 
 
 def lacks_scans(config: Any, recording: Any) -> bool:

@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 import sys
+from pathlib import Path
 from typing import Any
 
 
@@ -49,6 +50,9 @@ class _Desk:
         self._args, self._config = args, config
         self._clock = Clock()
         self._port: Any = None
+        self._bus: Any = None
+        self._asking: Any = None
+        self._painter = _Painter()
         self._leaving = False
 
     def stop(self) -> None:
@@ -64,7 +68,6 @@ class _Desk:
 
         stick = teleop.choose_stick(self._args.stick, self._clock, self._keyboard)
         by_keys = isinstance(stick, keyboard.Keyboard)
-        painter = _Painter()
         raw = keyboard.raw(sys.stdin.fileno()) if by_keys else contextlib.nullcontext()
         with contextlib.closing(stick), raw:
             print(keyboard.HELP if by_keys else gamepad.HELP)
@@ -73,14 +76,37 @@ class _Desk:
                 try:
                     with self._link() as self._port:
                         connected = True
-                        if teleop.steer(self._port, self._config, stick, painter.show) is teleop.End.LEFT:
+                        if self._steer(stick) is teleop.End.LEFT:
                             return 0
                 except HallwayError as error:
                     if not connected:
                         raise
-                    painter.say(f"no link: {error}")
+                    self._painter.say(f"no link: {error}")
+                finally:
+                    if self._asking is not None:
+                        self._asking.join()  # the bus is closed, and a closed bus is not waited for
                 self._leaving |= any(wish.leave for wish in stick.poll(0.5))
         return 0
+
+    def _steer(self, stick: Any) -> Any:
+        from runtime.nodes import teleop
+
+        return teleop.steer(self._port, self._config, stick, self._painter.show, self._keep)
+
+    def _keep(self) -> None:
+        """Have the last minutes kept on the robot; in a thread, for the stick waits for no answer."""
+        import threading
+
+        if self._asking is None or not self._asking.is_alive():
+            self._asking = threading.Thread(target=self._ask_to_keep, daemon=True)
+            self._asking.start()
+
+    def _ask_to_keep(self) -> None:
+        from runtime.nodes.keeping import ask_to_keep
+
+        folders = ask_to_keep(self._bus, self._args.robot)
+        kept = f"the last minutes are kept on the robot: {', '.join(Path(one).name for one in folders)}"
+        self._painter.note = kept if folders else "nothing was kept: no recorder of this robot has a ring"
 
     def _keyboard(self) -> Any:
         from runtime.errors import ConfigError
@@ -97,10 +123,10 @@ class _Desk:
         from runtime.node import BusPort
         from runtime.nodes import teleop
 
-        bus = ZenohBus(gate.visit(self._args.robot))
+        self._bus = ZenohBus(gate.visit(self._args.robot))
         return BusPort(
             "teleop",
-            lambda: bus,
+            lambda: self._bus,
             subscribes=teleop.SUBSCRIBES,
             publishes=teleop.PUBLISHES,
             robot=self._args.robot,
@@ -113,6 +139,8 @@ class _Painter:
     """Keeps a few lines at the foot of the terminal up to date; without a terminal it says what changes."""
 
     def __init__(self) -> None:
+        self.note = ""
+        """Something that happened, for the line below the others."""
         self._painted = 0
         self._said = ""
         self._terminal = sys.stdout.isatty()
@@ -120,11 +148,11 @@ class _Painter:
     def show(self, view: Any) -> None:
         """Paint what there is to see."""
         if not self._terminal:
-            self.say(view.robot_line())
+            self.say("; ".join(filter(None, (view.robot_line(), self.note))))
             return
         self._said = ""
         width = shutil.get_terminal_size().columns - 1
-        lines = [line[:width] for line in view.lines()]
+        lines = [line[:width] for line in (*view.lines(), self.note)]
         back = f"\x1b[{self._painted}A" if self._painted else ""
         sys.stdout.write(back + "".join(f"\r\x1b[K{line}\n" for line in lines))
         sys.stdout.flush()

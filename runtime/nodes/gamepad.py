@@ -21,7 +21,12 @@ SPEED_AXIS, TURN_AXIS = 1, 0
 _DEAD_MAN = (4, 5)  # the shoulder buttons
 _WISHES = {0: Intent.ARM, 7: Intent.ARM, 1: Intent.STOP, 3: Intent.RESET}  # A and start, B, Y
 
-HELP = "hold a shoulder button and use the left stick; A arms, B is the emergency stop, Y resets it"
+_KEEP = 2  # X
+
+HELP = (
+    "hold a shoulder button and use the left stick; A arms, B is the emergency stop, Y resets it, "
+    "X keeps the last minutes"
+)
 
 
 class Pad:
@@ -44,8 +49,11 @@ class Pad:
             elif kind & ~_INITIAL == _BUTTON:
                 (self._held.add if value else self._held.discard)(number)
                 # What was pressed before we listened is no wish.
-                if value and not kind & _INITIAL and number in _WISHES:
+                pressed = value and not kind & _INITIAL
+                if pressed and number in _WISHES:
                     wishes.append(Wish(now_ns, intent=_WISHES[number]))
+                elif pressed and number == _KEEP:
+                    wishes.append(Wish(now_ns, keep=True))
         return wishes
 
     def motion(self, now_ns: int) -> Wish:

@@ -34,11 +34,12 @@ _MOTIONS = {
 }  # fmt: skip
 _WISHES = {" ": Intent.STOP, "r": Intent.RESET, "\r": Intent.ARM, "\n": Intent.ARM}
 _QUIT = ("\x03", "\x04")
+_KEEP = "k"
 _FASTER = {"+": 0.1, "=": 0.1, "-": -0.1}
 
 HELP = (
     "Enter arms the robot   hold arrows or W A S D to drive, Q E for curves   + - speed\n"
-    "space: emergency stop, R resets it   Ctrl-C ends"
+    "space: emergency stop, R resets it   K keeps the last minutes   Ctrl-C ends"
 )
 
 
@@ -53,6 +54,8 @@ class Wish:
     turn: float = 0.0
     """-1 .. 1 of the highest turn rate; left positive."""
     intent: Intent = Intent.DRIVE
+    keep: bool = False
+    """That the last minutes are kept; says nothing of how to drive."""
     leave: bool = False
 
 
@@ -73,6 +76,9 @@ class Keys:
         for key in self._split(data):
             if key in _QUIT:
                 wishes.append(Wish(now_ns, leave=True))
+            elif key == _KEEP:
+                self._key = ""
+                wishes.append(Wish(now_ns, keep=True))
             elif key in _WISHES:
                 self._key = ""
                 wishes.append(Wish(now_ns, intent=_WISHES[key]))

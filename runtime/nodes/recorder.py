@@ -13,8 +13,10 @@ from runtime.formats.mcap_log import LATCHED_QOS, QOS_KEY, McapChannel
 from runtime.formats.mcap_writer import is_written
 from runtime.identity import CONFIG_FILE, Identity, installed, left_in
 from runtime.messages import topic_key
+from runtime.nodes.keeping import QUESTION, RingKeeper
 from runtime.port import Port, Received, Subscription
-from runtime.recording import Recording, RecordingConfig, ring_files
+from runtime.recording import Recording, RecordingConfig
+from runtime.recording_names import ring_files
 from runtime.topics import TOPICS
 from runtime.topics import topic as topic_named
 
@@ -78,8 +80,10 @@ def record(
     """
     subscriptions = _subscribe(port, config.topics or SUBSCRIBES)
     path = path_of(config, port.results_dir or port.run_dir)
+    keeper = RingKeeper(path, 3 * config.recording.file_s, port.log)
     if config.recording.ring_s:
         _announce_ring(port, path)
+        port.answer(QUESTION, keeper.answer)
     began_ns = port.clock.now_ns()
     about = {**_about(port, identity), **(about or {})}
     attachments = {CONFIG_FILE: identity.config.encode()} if identity.config else {}
@@ -96,6 +100,7 @@ def record(
         time.sleep(TURN_S)
     _drain(port, subscriptions, recording, channels, identity.domain)
     recording.close(port.clock.now_ns())
+    keeper.close()
     _tell(port, recording)
     return recording
 

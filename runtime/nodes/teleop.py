@@ -90,7 +90,13 @@ class End(Enum):
     LOST = "nothing of the robot was heard for a while"
 
 
-def steer(port: Port, config: Config, stick: Stick, show: Callable[["View"], None] = lambda _: None) -> End:
+def steer(
+    port: Port,
+    config: Config,
+    stick: Stick,
+    show: Callable[["View"], None] = lambda _: None,
+    keep: Callable[[], None] = lambda: None,
+) -> End:
     """Turn wishes into messages until the person leaves, the port stops, or the link is lost.
 
     Args:
@@ -98,6 +104,7 @@ def steer(port: Port, config: Config, stick: Stick, show: Callable[["View"], Non
         config: Speeds and names.
         stick: What to steer with.
         show: Called ten times a second with what there is to see.
+        keep: Called when the person wants the last minutes kept; returns at once.
 
     Returns:
         LOST where it is worth a try to connect anew; links do not always come back by themselves.
@@ -112,6 +119,9 @@ def steer(port: Port, config: Config, stick: Stick, show: Callable[["View"], Non
     while not (port.stopping or leaving):
         for wish in stick.poll(_POLL_S):
             leaving = leaving or wish.leave
+            if wish.keep:
+                keep()
+                continue
             port.publish("cmd_vel", _message(wish, config, name))
         for received in diagnostics.drain():
             heard_ns = received.received_ns

@@ -13,6 +13,7 @@ import pytest
 
 from runtime import links
 from runtime.bus_zenoh import ZenohBus
+from runtime.formats.mcap_log import McapReader
 from runtime.health import Health
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -82,6 +83,10 @@ def test_the_demo_makes_a_map_although_matcher_and_mapper_are_killed(tmp_path, e
         "config.yaml",
     }
     assert names <= {path.name for path in results.iterdir()}
+    readers = [McapReader(path) for path in (results / "ring").iterdir()]
+    topics = {message.channel.name for reader in readers for message in reader.messages()}
+    assert {"scan", "pose", "map"} <= topics
+    assert {reader.state.run_seed for reader in readers} == {1}
     run = json.loads((results / "run.json").read_text())
     restarts = {
         name: process["restarts"] for name, process in run["processes"].items() if process["restarts"]

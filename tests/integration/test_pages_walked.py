@@ -68,7 +68,7 @@ def paint(desk):
 
 
 BEFORE = (
-    Call("config check mine.yaml", 0, "6 processes, good"),
+    Call("config check mine.yaml", 0, "7 processes, good"),
     Call("doctor", 3, "plug"),
     Call("up mine.yaml", 3, "no such port", ("--headless",)),
     Call("keys make", 0, ""),

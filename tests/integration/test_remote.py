@@ -49,6 +49,7 @@ ROBOT_SIDE = """
             ahead = Clock(Clock().offset_ns + 3_600_000_000_000)
             tell_time(peer, "robot", ahead if "ahead" in sys.argv else Clock())
             tell(peer, "robot", Identity(seed=5, version="1.2", host="onboard", config="nodes: {}"))
+            port.answer("keep", lambda asked: b"/there/ring-kept")
             secret = peer.publisher("0/other/secret")
             tiles = Tiles(250_000)
             cells = np.random.default_rng(1).integers(0, 101, (300, 300))
@@ -305,9 +306,11 @@ def test_a_guest_records_what_the_run_is_and_how_far_its_clock_is(robot, tmp_pat
     assert abs(off_s) <= int(about["robot.clock_ahead_error_ns"]) / 1e9 + 0.05  # two clocks of one machine
 
 
-def test_a_guest_keeps_a_ring_of_its_own(robot, tmp_path):
+def test_a_guest_keeps_the_ring_of_the_robot_there_and_one_of_its_own_here(robot, tmp_path):
     robot.invite("anna", "viewer")
     with robot:
+        keeper = robot.typed("anna", "record", "--keep")
+        assert keeper.communicate(timeout=60) == ("on the robot: /there/ring-kept\n", "")
         recorder = robot.typed("anna", "record", "--ring", "10", "--duration", "0.5", "--out", "a.mcap")
         _, told = recorder.communicate(timeout=60)
         assert recorder.returncode == 0, told

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -239,14 +240,22 @@ def test_a_recording_without_a_scan_says_so(robot_in_domain_7, tmp_path, capsys)
     assert "no scan came from robot 'ghost' in ROS domain 0" in capsys.readouterr().err
 
 
+def test_a_recording_that_the_disk_ends_is_over_at_once(robot_in_domain_7, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("runtime.recording.shutil.disk_usage", lambda folder: SimpleNamespace(free=0))
+    assert main(["record", "--robot", "ghost", "--out", str(tmp_path / "a.mcap"), "--json"]) == 4
+    report = json.loads(capsys.readouterr().out)
+    assert (report["files"], report["stopped"]) == ([], "the disk was full")
+
+
 def test_a_ring_is_kept_by_its_name_and_nothing_else_of_its_folder(robot_in_domain_7, tmp_path, capsys):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "other.mcap").write_bytes(b"of somebody else")
-    assert main(["record", "--robot", "ghost", "--keep", "--out", str(tmp_path / "kept")]) == 2
+    keep = ["record", "--robot", "ghost", "--keep", "--out", str(tmp_path / "kept")]
+    assert main(keep) == 2
     assert "keeps no ring here" in capsys.readouterr().err
     ring = ["--ring", "10", "--duration", "0.5", "--out", str(tmp_path / "a.mcap")]
     assert main(["record", "--robot", "ghost", *ring]) == 0
-    assert main(["record", "--robot", "ghost", "--keep", "--out", str(tmp_path / "kept")]) == 0
+    assert main(keep) == 0
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["a_00000000.mcap"]
 
 

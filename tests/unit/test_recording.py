@@ -1,16 +1,20 @@
 """Recordings: whole files for everybody, cut files up to the last flush, losses counted inside."""
 
 import errno
+import fcntl
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from runtime import recovery
 from runtime.formats.errors import FormatError
 from runtime.formats.logs import open_log
 from runtime.formats.mcap_log import McapChannel, McapReader
-from runtime.formats.mcap_writer import McapWriter
+from runtime.formats.mcap_writer import McapWriter, is_written
 from runtime.messages import LaserScan, decode, encode, header
 from runtime.recording import STATUS_TYPE, Recording, RecordingConfig
 from runtime.recovery import keep_ring, recover_cut, salvage
@@ -98,6 +102,40 @@ def test_a_file_is_called_active_until_it_is_whole(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.active"]
     writer.finish()
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_a_file_that_is_being_written_is_locked_until_it_has_its_name(tmp_path, monkeypatch):
+    seen = []
+    rename = Path.rename
+
+    def look(path, target):
+        with path.open("r+b") as file:
+            seen.append(is_written(file))
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", look)
+    writer = McapWriter(tmp_path / "a.mcap")
+    writer.finish()
+    assert seen == [True]
+    with (tmp_path / "a.mcap").open("r+b") as file:
+        assert not is_written(file)
+
+
+def test_a_file_that_was_taken_away_before_it_was_locked_is_made_again(tmp_path, monkeypatch):
+    lock, locked = fcntl.flock, []
+
+    def too_late(file, how):
+        if not locked:
+            (tmp_path / "a.mcap.active").unlink()
+        locked.append(how)
+        lock(file, how)
+
+    monkeypatch.setattr(fcntl, "flock", too_late)
+    writer = McapWriter(tmp_path / "a.mcap")
+    write_scans(writer, 1)
+    writer.finish()
+    assert len(locked) == 2
+    assert len(read(tmp_path / "a.mcap")[0]) == 1
 
 
 @pytest.mark.parametrize("keep", [0.1, 0.37, 0.5, 0.8, 0.99])
@@ -540,6 +578,26 @@ def test_what_is_no_part_of_a_ring_is_neither_kept_nor_taken_away(tmp_path):
     assert len(kept) == len(rec.files)
     assert scans_in(kept)[-1] == 300
     assert all(other.exists() for other in others)
+
+
+def test_the_newest_file_is_kept_though_it_gets_its_name_in_that_moment(tmp_path, monkeypatch):
+    rec = run_ring(tmp_path, 3)
+    listed = recovery.ring_files(tmp_path / "ring.mcap")
+    rec.close(4 * S)
+    monkeypatch.setattr(recovery, "ring_files", lambda ring: listed)
+    kept = keep_ring(tmp_path / "ring.mcap", tmp_path / "kept", within_s=0.0)
+    assert listed[-1].suffix == ".active"
+    assert [path.name for path in kept] == [path.name for path in rec.files]
+    assert scans_in(kept)[-1] == 30
+
+
+def test_a_file_that_a_killed_recorder_left_in_a_ring_is_kept_and_not_waited_for(tmp_path):
+    rec = run_ring(tmp_path, 3)
+    rec._writer.abandon()
+    began = time.monotonic()
+    kept = keep_ring(tmp_path / "ring.mcap", tmp_path / "kept", within_s=60.0)
+    assert time.monotonic() - began < 10
+    assert scans_in(kept) == list(range(1, 22))  # what came in its last second went with it
 
 
 def test_a_ring_of_another_length_is_refused():

@@ -1,6 +1,10 @@
 """The recorder process, on a bus in memory."""
 
 import dataclasses
+import logging
+import time
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -12,6 +16,7 @@ from runtime.identity import Identity, left_in
 from runtime.messages import decode
 from runtime.node import BusPort
 from runtime.nodes import recorder
+from runtime.nodes.keeping import RingKeeper, ask_to_keep
 from runtime.port import ListPort
 from runtime.recording import RecordingConfig
 from runtime.topics import TOPICS
@@ -129,6 +134,35 @@ def test_a_second_ring_leaves_the_first_one_its_files_and_its_place(bus, tmp_pat
     assert (tmp_path / "ring").readlink() == tmp_path / "c" / "c.mcap"
 
 
+def test_a_ring_is_kept_once_when_somebody_asks_twice_on_the_bus(bus, tmp_path):
+    answers = []
+
+    def turn(port, recording):
+        answers.append(ask_to_keep(bus, "robot"))
+        if len(answers) == 2:
+            port.stop()
+
+    record_ring(bus, tmp_path, "a.mcap", turn)
+    assert answers[0] == answers[1]
+    (folder,) = map(Path, answers[0])
+    assert folder.parent == tmp_path
+    assert folder.name.startswith("a-kept-")
+    assert [path.name for path in folder.iterdir()] == ["a_00000000.mcap"]
+    assert McapReader.is_whole(folder / "a_00000000.mcap")
+    assert ask_to_keep(bus, "robot") == []  # the recorder has gone
+
+
+def test_a_ring_that_cannot_be_kept_is_told_in_the_log(tmp_path, caplog):
+    (tmp_path / "ring").mkdir()
+    (tmp_path / "ring" / "ring_00000000.mcap").touch()
+    keeper = RingKeeper(tmp_path / "ring" / "ring.mcap", 0.0, logging.getLogger("test"))
+    (tmp_path / f"ring-kept-{time.strftime('%Y%m%d-%H%M%S')}").touch()
+    (tmp_path / f"ring-kept-{time.strftime('%Y%m%d-%H%M%S', time.localtime(time.time() + 1))}").touch()
+    folder = keeper.answer(b"").decode()
+    keeper.close()
+    assert f"{folder}: the ring could not be kept: File exists" in caplog.text
+
+
 def test_only_the_topics_asked_for_are_recorded(bus, tmp_path):
     with publisher(bus, "scan", "odom") as source:
 
@@ -203,6 +237,13 @@ def test_the_node_says_what_was_lost_in_its_report_and_exit_code(tmp_path, monke
     monkeypatch.setattr(recorder, "_drain", lambda port, subscriptions, recording, *_: _lose(recording))
     assert recorder.run(port, config(tmp_path / "a.mcap")) == 4
     assert port.reports[-1][:2] == ("warn", "5 messages lost")
+
+
+def test_the_node_says_why_it_records_nothing_any_more(tmp_path, monkeypatch):
+    port = ListPort(run_dir=tmp_path)
+    monkeypatch.setattr("runtime.recording.shutil.disk_usage", lambda folder: SimpleNamespace(free=0))
+    recorder.run(port, recorder.Config(file=str(tmp_path / "a.mcap")))
+    assert port.reports[-1][:2] == ("error", "the disk was full: 0 messages not recorded")
 
 
 def _lose(recording):

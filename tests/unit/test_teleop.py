@@ -1,11 +1,14 @@
 """From keys and sticks to wishes, from wishes to messages, and what a person is shown."""
 
 import struct
+from types import SimpleNamespace
 
 import pytest
 
 from drivers.create.operators import Intent
 from runtime import messages
+from runtime.bus_memory import MemoryBus
+from runtime.cli.teleop import _Desk
 from runtime.clock import ManualClock
 from runtime.nodes import gamepad, keyboard, teleop
 from runtime.nodes.gamepad import Pad
@@ -103,6 +106,13 @@ def test_ctrl_c_wishes_to_leave():
     assert [w.leave for w in Keys().feed(b"\x03", 0)] == [True]
 
 
+def test_a_key_keeps_the_last_minutes_and_ends_one_that_is_held():
+    keys = Keys()
+    keys.feed(b"w", 0)
+    assert keys.feed(b"k", 1) == [Wish(1, keep=True)]
+    assert keys.rest(2) == Wish(2)
+
+
 def event(kind, number, value):
     return struct.pack("<IhBB", 0, value, kind, number)
 
@@ -138,6 +148,7 @@ def test_buttons_are_wishes_when_they_go_down():
     ]
     assert pad.feed(event(BUTTON, 0, 0), 0) == []
     assert [w.intent for w in pad.feed(event(BUTTON, 3, 1), 0)] == [Intent.RESET]
+    assert pad.feed(event(BUTTON, 2, 1), 5) == [Wish(5, keep=True)]
 
 
 def test_what_was_held_down_before_is_no_wish():
@@ -206,6 +217,35 @@ def test_a_wish_goes_out_under_the_time_it_was_made():
     assert sent[-1].speed_mps == 0.0  # the last word is to stand
     assert sent[-1].stamp_ns == 1000 * MS
     assert port.is_ready
+
+
+def test_the_wish_to_keep_the_last_minutes_moves_nothing():
+    port = ListPort(clock=ManualClock(1000 * MS), stop_after=100)
+    kept = []
+    hand = Hand(Wish(900 * MS, 1.0), Wish(950 * MS, keep=True), Wish(960 * MS, 1.0))
+    config = teleop.Config(name="anna", speed_mps=0.2)
+    teleop.steer(port, config, hand, keep=lambda: kept.append(len(port.said("cmd_vel"))))
+    assert kept == [1]
+    sent = [input_of(Received("cmd_vel", message)) for message in port.said("cmd_vel")]
+    assert [one.stamp_ns // MS for one in sent[:2]] == [900, 960]
+
+
+def test_the_person_at_the_desk_is_told_what_was_kept_and_where(capsys):
+    with MemoryBus() as bus:
+        desk = _Desk(SimpleNamespace(robot="robot"), teleop.Config())
+        desk._bus = bus
+        told = []
+        for _ in range(2):
+            desk._keep()
+            desk._asking.join()
+            told.append(desk._painter.note)
+            bus.answer("hallway/robot/keep", lambda asked: b"/results/a/ring-kept-1")
+        desk._painter.show(SimpleNamespace(robot_line=lambda: "armed"))
+    assert told == [
+        "nothing was kept: no recorder of this robot has a ring",
+        "the last minutes are kept on the robot: ring-kept-1",
+    ]
+    assert capsys.readouterr().out == "armed; the last minutes are kept on the robot: ring-kept-1\n"
 
 
 class Patience(ManualClock):
@@ -303,5 +343,5 @@ def test_two_operators_on_one_machine_have_different_names():
 
 
 def test_the_help_names_every_key():
-    for word in ("Enter", "W A S D", "space", "Ctrl-C"):
+    for word in ("Enter", "W A S D", "space", "K ", "Ctrl-C"):
         assert word in keyboard.HELP
