@@ -36,8 +36,9 @@ def plain(value):
     """A message as dictionaries, lists, numbers and strings."""
     if hasattr(value, "get_fields_and_field_types"):
         return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
-    if is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if is_dataclass(value):  # of another library, some of which keep the type's name and constants there, too
+        names = [field.name for field in fields(value) if field.name.islower() and field.name[0] != "_"]
+        return {name: plain(getattr(value, name)) for name in names}
     if isinstance(value, bytes):
         return value[0]  # ROS has a type for a single byte
     if isinstance(value, np.ndarray | array.array):

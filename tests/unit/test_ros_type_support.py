@@ -15,6 +15,7 @@ from rosbags.interfaces import Nodetype
 from runtime import messages
 from runtime.topics import TOPICS
 from tests.ros.machine import ask
+from tests.ros.padding import same_but_for_padding
 
 TYPES = sorted({row.type for row in TOPICS.values()})
 WITHOUT_WHEEL = {"map_msgs/msg/OccupancyGridUpdate", "tf2_msgs/msg/TFMessage"}
@@ -87,25 +88,13 @@ def answers():
     return dict(zip(MESSAGES, ask("type_support.py", asked), strict=True))
 
 
-def padding(message):
-    """Where a message's bytes only fill up to the next number; True there."""
-    definition = messages.TYPES.get_msgdef(message.__msgtype__)
-    filled = []
-    for filling in (0x00, 0xFF):
-        data = bytearray([filling]) * (len(messages.encode(message)) - 4)
-        definition.serialize_cdr_le(memoryview(data), 0, message, messages.TYPES)
-        filled.append(np.frombuffer(data, np.uint8))
-    return np.concatenate([np.zeros(4, bool), filled[0] != filled[1]])
-
-
 @pytest.mark.parametrize("name", MESSAGES)
 def test_ros_reads_our_message_and_writes_the_same_bytes(name, answers):
-    # But for the padding: ROS leaves in it what was in the memory, and fills the end up to four bytes.
-    ours = np.frombuffer(messages.encode(MESSAGES[name]), np.uint8)
-    theirs = np.frombuffer(bytes.fromhex(answers[name]["payload"]), np.uint8)
-    assert len(theirs) in (len(ours), -(-len(ours) // 4) * 4)
-    differing = ours != theirs[: len(ours)]
-    assert not (differing & ~padding(MESSAGES[name])).any()
+    theirs = bytes.fromhex(answers[name]["payload"])
+    assert same_but_for_padding(MESSAGES[name], theirs)
+    wrong = bytearray(theirs)
+    wrong[4] ^= 1  # of the first field
+    assert not same_but_for_padding(MESSAGES[name], wrong)
 
 
 @pytest.mark.parametrize("name", MESSAGES)
