@@ -26,11 +26,15 @@ seed: 1
 nodes:
   simulator: {module: simulator, config: {building: room}}
   mapper: {module: mapper, stop_s: 20}
-  matcher: {module: matcher}
+  matcher: {module: matcher, config: {laser_in_base: [0.1, 0.0, 0.0]}}
   base: {module: base, after: [simulator], config: {path: base}}
   laser: {module: laser, after: [simulator, matcher, mapper], config: {path: laser}}
 """
-HEARD = ("scan", "odom", "pose", "map", "tf", "particles", "battery", "diagnostics", "truth")
+HEARD = (
+    *("scan", "odom", "match_points", "pose", "map", "trajectory", "tf", "tf_static", "particles"),
+    *("battery", "diagnostics", "truth"),
+)
+LATCHED = ("map", "trajectory", "tf_static")
 
 
 def free_port():
@@ -110,11 +114,13 @@ class Robot:
                 topics = {f"/robot/{one}": topic(one).type for one in HEARD}
                 asked = {
                     "topics": topics,
-                    "latched": ["/robot/map"],
+                    "latched": [f"/robot/{one}" for one in LATCHED],
                     "router": ["127.0.0.1", port],
                     "state": "/robot/diagnostics",
+                    "within_s": 60.0,
+                    **question,
                 }
-                return ask("client.py", {**asked, "within_s": 60.0, **question}, within_s=120.0)
+                return ask("client.py", asked, within_s=120.0)
             finally:
                 router.stdin.close()
 
@@ -139,7 +145,7 @@ def test_what_the_client_decodes_is_what_ros_reads_and_what_we_mean(name, told):
     ours = messages.decode(bytes.fromhex(heard["payload"]), topic(name).type)
     assert same_but_for_padding(ours, bytes.fromhex(heard["ros"]["payload"]))
     assert json.dumps(heard["client"][-1]) == json.dumps(heard["ros"]["fields"])
-    assert heard["ros"]["by"] == ("Cyclone DDS" if name == "tf" else "ROS 2")
+    assert heard["ros"]["by"] == ("Cyclone DDS" if name.startswith("tf") else "ROS 2")
 
 
 @pytest.mark.timeout(400)
@@ -153,12 +159,9 @@ def test_the_client_sees_the_room_and_where_the_robot_is_in_it(told):
     assert set(grid["data"]) <= set(range(-1, 101))
     assert min(grid["data"]) == -1
     assert max(grid["data"]) > 65  # a wall
-    chain = {
-        (one["header"]["frame_id"], one["child_frame_id"])
-        for sent in heard["tf"]
-        for one in sent["transforms"]
-    }
-    assert chain == {("map", "odom"), ("odom", "laser")}
+    transforms = [one for name in ("tf", "tf_static") for sent in heard[name] for one in sent["transforms"]]
+    parents = {one["child_frame_id"]: one["header"]["frame_id"] for one in transforms}
+    assert parents == {"odom": "map", "base_link": "odom", "laser": "base_link"}  # as REP-105 has them
 
 
 @pytest.mark.timeout(400)
