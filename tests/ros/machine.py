@@ -33,7 +33,7 @@ def ask(script, question, within_s=60.0):
     done = subprocess.run(
         [ros_python(), HERE / script],
         input=json.dumps(question),
-        env=ros_environment(),
+        env=ros_environment(GIT_PYTHON_REFRESH="quiet"),  # the client can fetch definitions; here it need not
         capture_output=True,
         text=True,
         timeout=within_s,

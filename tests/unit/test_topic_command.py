@@ -69,6 +69,18 @@ def test_a_topic_that_we_never_heard_of_is_echoed_by_what_its_token_says(bus, ca
     assert capsys.readouterr().out == 'data: "Hello World"\n---\n'
 
 
+def test_a_long_array_is_echoed_in_whole_if_asked(bus, capsys):
+    size = 200
+    update = messages.OccupancyGridUpdate(
+        header=messages.header(5, "map"), x=0, y=0, width=size, height=1, data=np.zeros(size, np.int8)
+    )
+    Talker(bus, "robot/map_updates", update, latched=True).say()
+    assert main(["topic", "echo", "map_updates", "-n", "1"]) == 0
+    assert "0, ...]" in capsys.readouterr().out
+    assert main(["topic", "echo", "map_updates", "-n", "1", "--full"]) == 0
+    assert len(yaml.safe_load(capsys.readouterr().out.removesuffix("---\n"))["data"]) == size
+
+
 def test_a_name_of_ours_may_have_another_type_than_our_table_says(bus, capsys):
     Talker(bus, "robot/pose", pose(), latched=True).say()
     assert main(["topic", "echo", "pose", "-n", "1"]) == 0
