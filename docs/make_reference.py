@@ -30,6 +30,7 @@ Those that people need, if any:
 |---|---|
 | `laser.path`, `base.path` | the devices are not at the default ports |
 | `laser_in_base`, see [the offline map](#hallway-map) | poses of the robot's middle are wanted |
+| `matcher.laser_in_base` | Nav2, or whoever else asks for `base_link`, shall find it in `tf` |
 | `matcher.odometry.prediction.acceleration`, `.turning` | the laser is thrown about by hand |
 | `mapper.mapping.particles` | the machine is slow, or the building is large and full of loops |
 | `viewer.mode`, `viewer.memory_mb` | the picture shall be a page, or use less memory |

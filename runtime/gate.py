@@ -13,6 +13,8 @@ from runtime.keys import Authority, Invitation, Role, common_name, paired
 
 BATCH_BYTES = 16_384
 """What waits for a slow link: two batches of each urgency, and what the socket holds; as little as does."""
+ROS_ROUTER = "tcp/localhost:7447"
+"""Where the sessions of rmw_zenoh look for their router."""
 _READ = ["read_in", "read_out"]
 _ASKING = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]
 _ANSWERING = ["put", "delete", "reply", "declare_queryable", "liveliness_token"]
@@ -114,6 +116,35 @@ def guest(invitation: Invitation) -> dict[str, Any]:
             },
         },
     )
+
+
+def ros_router(invitation: Invitation) -> dict[str, Any]:
+    """Return the configuration of a ROS 2 machine's own router, `rmw_zenohd`, that leads on to the robot.
+
+    Its ROS nodes talk to it and to each other as they always do; what passes to and from the robot is what
+    the guest's role allows. A session of each node by itself would do for a viewer, but the robot's hub
+    carries nothing between two guests.
+    """
+    transport = guest(invitation)["transport"]
+    return {
+        "mode": "router",
+        # Not on all addresses, as rmw_zenohd does by default: whoever reaches it has the guest's rights.
+        "listen": {"endpoints": [ROS_ROUTER]},
+        "connect": {
+            "endpoints": [f"tls/{invitation.address}"],
+            "timeout_ms": -1,  # the robot may be off yet, or begin anew
+            "exit_on_failure": False,
+            "retry": {"period_init_ms": 500, "period_max_ms": 4000, "period_increase_factor": 2},
+        },
+        "scouting": {"multicast": {"enabled": False}},
+        # As in the configuration that rmw_zenoh ships: latched topics and slow services need them.
+        "timestamping": {"enabled": True},
+        "queries_default_timeout": 600_000,
+        "transport": {
+            "link": {key: transport["link"][key] for key in ("tx", "tls")},
+            "unicast": transport["unicast"],
+        },
+    }
 
 
 def visit(robot: str) -> dict[str, Any]:

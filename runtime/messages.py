@@ -148,7 +148,7 @@ def type_hash(msgtype: str) -> str:
 
 def topic_key(topic: str, msgtype: str, domain: int = 0) -> str:
     """Return the key expression of a full topic name such as `robot/scan`."""
-    return f"{domain}/{topic.strip('/')}/{dds_name(msgtype)}/{type_hash(msgtype)}"
+    return Endpoint("MP", "", topic.strip("/"), msgtype, type_hash(msgtype)).key(domain)
 
 
 def qos_text(*, latched: bool, depth: int) -> str:
@@ -205,6 +205,13 @@ class Endpoint:
     topic: str
     """Full name, without the leading slash."""
     type: str
+    hash: str
+    """`RIHS01_<hash>`, as whoever declared it knows the type."""
+    latched: bool = False
+
+    def key(self, domain: int = 0) -> str:
+        """Return the key expression of its messages."""
+        return f"{domain}/{self.topic}/{dds_name(self.type)}/{self.hash}"
 
 
 def endpoints_of(tokens: list[str]) -> list[Endpoint]:
@@ -212,8 +219,22 @@ def endpoints_of(tokens: list[str]) -> list[Endpoint]:
     found: list[Endpoint] = []
     for token in tokens:
         parts = token.split("/")
-        if len(parts) == 13 and parts[5] in ("MP", "MS"):
+        # ROS 2 lyrical may say more behind the quality of service.
+        if len(parts) >= 13 and parts[5] in ("MP", "MS"):
             package, _, dds = parts[10].partition("::msg::dds_::")
+            msgtype = f"{package}/msg/{dds.removesuffix('_')}"
             topic = parts[9].removeprefix("%").replace("%", "/")
-            found.append(Endpoint(parts[5], parts[8], topic, f"{package}/msg/{dds.removesuffix('_')}"))
+            latched = parts[12].split(":")[1:2] == ["1"]
+            found.append(Endpoint(parts[5], parts[8], topic, msgtype, parts[11], latched))
     return found
+
+
+def has_header(msgtype: str) -> bool:
+    """Whether messages of a known type begin with a header, and so with a stamp."""
+    fields = TYPES.fielddefs[msgtype][1]
+    return bool(fields) and bool(fields[0][1][1] == "std_msgs/msg/Header")
+
+
+def is_known(msgtype: str, hashed: str) -> bool:
+    """Whether a type is known here, and by the same definition."""
+    return msgtype in TYPES.fielddefs and type_hash(msgtype) == hashed

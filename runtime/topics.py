@@ -63,6 +63,7 @@ TOPICS: dict[str, Topic] = {
         Topic("particles", "geometry_msgs/msg/PoseArray", 0.0, urgency=Urgency.DETAIL),
         Topic("trajectory", "nav_msgs/msg/Path", 0.0, latched=True, urgency=Urgency.BULK),
         Topic("tf", "tf2_msgs/msg/TFMessage", 20.0, keep=ALL, shared=True, urgency=Urgency.WHERE),
+        Topic("tf_static", "tf2_msgs/msg/TFMessage", 0.0, latched=True, urgency=Urgency.WHERE),
         Topic("cmd_vel", "geometry_msgs/msg/TwistStamped", 0.0, urgency=Urgency.COMMAND),
         Topic("battery", "sensor_msgs/msg/BatteryState", 1.0),
         Topic("bumper", "std_msgs/msg/UInt8", 0.0, keep=ALL, urgency=Urgency.WHERE),

@@ -18,6 +18,7 @@ ROBOTS = {
         "replay_map",
         "replay_zenoh",
         "resume",
+        "ros_client",
         "sessions",
         "simulator",
         "supervisor",

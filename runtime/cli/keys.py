@@ -1,6 +1,7 @@
 """Decide who may come to a robot from another machine: make keys, invite, revoke, pair."""
 
 import argparse
+import json
 from pathlib import Path
 
 
@@ -22,11 +23,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions.add_parser("list", help="on the robot: the guests and their roles")
     pair = actions.add_parser("pair", help="on the laptop: keep an invitation")
     pair.add_argument("file", type=Path)
+    ros = actions.add_parser(
+        "ros", help="on a machine with ROS 2: what leads its rmw_zenoh router to the robot"
+    )
+    ros.add_argument("file", type=Path, help="an invitation")
+    ros.add_argument("--out", type=Path, metavar="FILE", help="default GUEST.json5")
 
 
 def run(args: argparse.Namespace) -> int:
     """Do what was asked; 2 where it cannot be."""
-    from runtime import keys
+    from runtime import gate, keys
     from runtime.errors import ConfigError
 
     if args.action == "make":
@@ -51,6 +57,15 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "list":
         for guest, role in keys.authority(args.robot).roster().items():
             print(f"{guest:20} {role}")
+    elif args.action == "ros":
+        invitation = keys.Invitation.read(args.file)
+        out = args.out or Path(f"{invitation.guest}.json5")
+        if out.exists():
+            raise ConfigError(f"{out}: exists already")
+        text = json.dumps(gate.ros_router(invitation), indent=2) + "\n"
+        keys.write_private(out, text.encode())
+        print(f"{out}: leads to robot {invitation.robot!r} as {invitation.role}; it is secret")
+        print(f"here: ZENOH_ROUTER_CONFIG_URI={out.absolute()} ros2 run rmw_zenoh_cpp rmw_zenohd")
     else:
         invitation = keys.pair(args.file)
         print(f"robot {invitation.robot!r} at {invitation.address}: paired, as {invitation.role}")

@@ -1,8 +1,14 @@
 """Look at the topics of a running robot: list them, print messages, measure rate and delay."""
 
 import argparse
+import sys
 import time
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from runtime.errors import ConfigError
+
+if TYPE_CHECKING:
+    from runtime import messages
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,9 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("delay", "measure the time from a message's stamp to its arrival"),
     ):
         action = actions.add_parser(name, help=text, description=text)
-        action.add_argument("topic")
+        action.add_argument("topic", help="of the robot, as `scan`, or any other by its whole name")
         action.add_argument("-n", "--count", type=int, default=0, help="end after so many messages")
         action.add_argument("--within", type=float, default=0.0, metavar="S", help="end after S seconds")
+        if name == "echo":
+            action.add_argument("--full", action="store_true", help="arrays in whole, however long")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -43,19 +51,45 @@ def _list(bus: Any, args: argparse.Namespace) -> int:
     return 0 if endpoints else 1
 
 
+def _found(bus: Any, args: argparse.Namespace) -> "messages.Endpoint":
+    """Return the topic that was asked for as its publisher declares it; one of ours that nobody has yet, too.
+
+    Raises:
+        ConfigError: Neither: there is no such topic.
+    """
+    from runtime import messages
+    from runtime.topics import topic
+
+    name = args.topic.strip("/")
+    names = (f"{args.robot}/{name}", name)
+    endpoints = messages.endpoints_of(bus.tokens(f"@ros2_lv/{args.domain}/**"))
+    there = [endpoint for full in names for endpoint in endpoints if endpoint.topic == full]
+    if there:
+        return next((endpoint for endpoint in there if endpoint.kind == "MP"), there[0])
+    row = topic(name.removeprefix(f"{args.robot}/"))
+    hashed = messages.type_hash(row.type)
+    return messages.Endpoint("MP", "", f"{args.robot}/{row.name}", row.type, hashed, row.latched)
+
+
 def _follow(bus: Any, args: argparse.Namespace) -> int:
     from runtime import messages
+    from runtime.cli.message_text import LONG, text_of
     from runtime.clock import Clock
     from runtime.inbox import Inbox
     from runtime.latency import Histogram
     from runtime.offset import measured
-    from runtime.topics import ALL, topic
+    from runtime.topics import ALL, Topic
 
-    row = topic(args.topic.strip("/").removeprefix(f"{args.robot}/"))
+    found = _found(bus, args)
+    if args.action != "hz" and not messages.is_known(found.type, found.hash):
+        raise ConfigError(f"{found.topic}: {found.type} {found.hash} is not known here; only hz works")
+    if args.action == "delay" and not messages.has_header(found.type):
+        raise ConfigError(f"{found.topic}: {found.type} has no header, and so no stamp")
     clock = Clock()
+    row = Topic(found.topic, found.type, 0.0)
     inbox = Inbox(row, clock, lambda: False, keep=ALL, raw=args.action != "echo")
-    key = messages.topic_key(f"{args.robot}/{row.name}", row.type, args.domain)
-    bus.subscribe(key, inbox.mailbox.put, latched=row.latched)
+    bus.subscribe(found.key(args.domain), inbox.mailbox.put, latched=found.latched)
+    longest = sys.maxsize if args.action == "echo" and args.full else LONG
     offset = measured(bus, args.robot, clock) if args.action == "delay" else None
     if offset is not None:
         print(f"clock of {args.robot}: {offset}", flush=True)
@@ -71,7 +105,7 @@ def _follow(bus: Any, args: argparse.Namespace) -> int:
             last_s = received.received_ns / 1e9
             first_s = first_s or last_s
             if args.action == "echo":
-                print(f"{received.message}\n---", flush=True)
+                print(f"{text_of(received.message, longest)}\n---", flush=True)
             elif (stamp_ns := messages.peek_stamp_ns(received.payload)) is not None:
                 now_ns = received.received_ns + (offset.offset_ns if offset else 0)
                 delays.add((now_ns - stamp_ns) / 1e6)
@@ -80,6 +114,8 @@ def _follow(bus: Any, args: argparse.Namespace) -> int:
             _measured(args.action, seen, last_s - first_s, delays, inbox.missed)
     if args.action != "echo":
         _measured(args.action, seen, last_s - first_s, delays, inbox.missed)
+    elif inbox.missed or inbox.undecodable:
+        print(f"{inbox.missed} missed, {inbox.undecodable} undecodable", file=sys.stderr)
     return 0 if seen else 1
 
 

@@ -11,13 +11,14 @@ from runtime import messages
 from runtime.checkpoint import Checkpoint
 from runtime.messages import BadMessageError
 from runtime.missed import Missed
-from runtime.nodes.convert import motion_to_message, scan_from_message, transform_to_message
+from runtime.nodes import mounting
+from runtime.nodes.convert import motion_to_message, scan_from_message
 from runtime.nodes.rows import MATCH_COLUMNS, MATCH_FILE, Rows
 from runtime.port import Level, Port, Received
 from runtime.topics import topic
 
 SUBSCRIBES: tuple[str, ...] = ("scan",)
-PUBLISHES: tuple[str, ...] = ("odom", "match_points", "tf")
+PUBLISHES: tuple[str, ...] = ("odom", "match_points", "tf", "tf_static")
 
 _WAIT_S = 0.1
 KEEP_SCANS = 3
@@ -36,6 +37,12 @@ class Config:
     """The laser odometry; nothing of it has to be set to get a map."""
 
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
+    laser_in_base: mounting.LaserInBase | None = None
+    """Mounting of the laser: x, y (m) and yaw (rad) in the robot's frame; `tf` then has `base_link`, too."""
+
+    def __post_init__(self) -> None:
+        if not mounting.is_possible(self.laser_in_base):
+            raise ValueError(f"laser_in_base = {self.laser_in_base}, must be three finite numbers")
 
 
 def run(port: Port, config: Config) -> int:
@@ -50,6 +57,8 @@ def run(port: Port, config: Config) -> int:
     scans = Scans(port)
     with Rows(port.results_dir, MATCH_FILE, MATCH_COLUMNS) as rows:
         port.ready()
+        if config.laser_in_base is not None:
+            port.publish("tf_static", mounting.tf_static(port.clock.now_ns(), config.laser_in_base))
         while not port.stopping:
             received = scans.next()
             if received is None:
@@ -63,7 +72,7 @@ def run(port: Port, config: Config) -> int:
                 port.count("refused_scans")
                 port.report("error", f"scan refused: {error}")
                 continue
-            publish(port, match)
+            publish(port, match, config.laser_in_base)
             # After the answer is out: nobody waits for this.
             _note(rows, match)
             if checkpoint.due(scan.stamp_ns) and not checkpoint.write(scan.stamp_ns, (odometry, missed)):
@@ -102,13 +111,12 @@ class Scans:
         return received
 
 
-def publish(port: Port, match: Match) -> None:
+def publish(port: Port, match: Match, laser_in_base: mounting.LaserInBase | None = None) -> None:
     """Send the motion, the points that it rests on, and how far it is to be believed."""
     motion = match.motion
     port.publish("odom", motion_to_message(motion))
     port.publish("match_points", cloud(motion.stamp_ns, match.points_laser))
-    placed = transform_to_message(motion.stamp_ns, "odom", "laser", motion.odom_t_laser)
-    port.publish("tf", messages.TFMessage(transforms=[placed]))
+    port.publish("tf", mounting.tf(motion.stamp_ns, motion.odom_t_laser, laser_in_base))
     state = match.state.name
     if match.blind_rad is not None:
         state += f" ({np.degrees(match.blind_rad):.0f} deg)"

@@ -26,6 +26,7 @@ from runtime.formats.map_server import GridMap
 from runtime.messages import encode
 from runtime.nodes.convert import scan_to_message
 from runtime.nodes.log_scans import iterate
+from runtime.nodes.mounting import of_base
 from runtime.nodes.offline_config import OfflineConfig
 from runtime.nodes.offline_report import Diary
 from runtime.nodes.rows import ancestors_of
@@ -176,7 +177,7 @@ class OfflineRun:
         """Return the poses of the base, or of the laser where its mounting is not known."""
         if self._config.laser_in_base is None:
             return parent_t_laser
-        return se2.compose(parent_t_laser, se2.invert(np.array(self._config.laser_in_base)))
+        return of_base(parent_t_laser, self._config.laser_in_base)
 
     def _metrics(self, map_t_laser: se2.Pose, grid: GridMap) -> dict[str, Any]:
         from processing.sharpness import sharpness

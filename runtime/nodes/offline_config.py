@@ -3,10 +3,9 @@
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from processing.slam import SlamConfig
 from runtime.config import build, parse_yaml
+from runtime.nodes import mounting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -14,11 +13,11 @@ class OfflineConfig:
     """Everything that decides a map, apart from log and seed."""
 
     slam: SlamConfig = field(default_factory=SlamConfig)
-    laser_in_base: tuple[float, float, float] | None = None
+    laser_in_base: mounting.LaserInBase | None = None
     """Mounting of the laser: x, y (m) and yaw (rad) in the base frame; the poses are then the base's."""
 
     def __post_init__(self) -> None:
-        if self.laser_in_base is not None and not np.all(np.isfinite(self.laser_in_base)):
+        if not mounting.is_possible(self.laser_in_base):
             raise ValueError(f"laser_in_base = {self.laser_in_base}, must be three finite numbers")
 
 

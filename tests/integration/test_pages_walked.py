@@ -75,6 +75,7 @@ BEFORE = (
     Call("keys invite laptop --role operator", 0, "laptop.invitation"),
     Call("up onboard --remote", 3, "no such port", ("--headless",)),
     Call("keys pair laptop.invitation", 0, ""),
+    Call("keys ros laptop.invitation", 0, "ZENOH_ROUTER_CONFIG_URI"),
     Call("map intel.clf.bz2 --out results/intel", 0, "TRACKING"),
     Call("evaluate results/intel/trajectory.tum --relations intel.relations", 0, "m"),
     Call("map day1.mcap --out results/day1", 0, "TRACKING", first=carry_logs),

@@ -1,5 +1,6 @@
 """Keys, guests and their list: what is secret stays readable for its owner alone."""
 
+import json
 import stat
 
 import pytest
@@ -133,3 +134,32 @@ def test_the_processes_of_a_robot_dial_nobody_over_a_network_and_its_hub_lets_in
     door = gate.door(host, "robot", 0, "0.0.0.0:7448", {})
     assert protocols(links.hub(home, door)) == ["unixsock-stream", "tls"]
     assert protocols(gate.guest(keys.invite("robot", "anna", "viewer", "10.0.0.1"))) == ["tls"]
+
+
+def test_a_machine_with_ros_gets_a_router_that_leads_to_the_robot_and_listens_for_itself_alone(home, capsys):
+    keys.make("robot")
+    keys.write_private(
+        home / "rviz.invitation", keys.invite("robot", "rviz", "viewer", "10.0.0.1").to_bytes()
+    )
+    assert main(["keys", "ros", "rviz.invitation"]) == 0
+    said = capsys.readouterr().out
+    assert "rviz.json5: leads to robot 'robot' as viewer; it is secret" in said
+    assert f"ZENOH_ROUTER_CONFIG_URI={home / 'rviz.json5'} ros2 run rmw_zenoh_cpp rmw_zenohd" in said
+    assert stat.S_IMODE((home / "rviz.json5").stat().st_mode) == 0o600
+    config = json.loads((home / "rviz.json5").read_text())
+    assert config["mode"] == "router"
+    assert config["listen"]["endpoints"] == ["tcp/localhost:7447"]  # where the sessions of rmw_zenoh look
+    assert config["connect"]["endpoints"] == ["tls/10.0.0.1:7448"]
+    assert config["scouting"]["multicast"]["enabled"] is False
+    assert config["transport"]["link"]["tls"]["enable_mtls"] is True
+
+
+def test_no_file_is_written_over_for_ros(home, capsys):
+    keys.make("robot")
+    keys.write_private(home / "a.invitation", keys.invite("robot", "a", "viewer", "h").to_bytes())
+    (home / "a.json5").write_text("mine")
+    assert main(["keys", "ros", "a.invitation"]) == 2
+    assert "a.json5: exists already" in capsys.readouterr().err
+    assert (home / "a.json5").read_text() == "mine"
+    assert main(["keys", "ros", "a.json5"]) == 2
+    assert "a.json5: is no invitation of a robot" in capsys.readouterr().err

@@ -143,7 +143,14 @@ def test_tokens_name_node_topic_type_and_quality():
         f"RIHS01_{RIHS01['nav_msgs/msg/OccupancyGrid']}/:1:,1:,:,:,,"
     )
     assert messages.endpoints_of([token]) == [
-        messages.Endpoint("MP", "mapper", "robot/map", "nav_msgs/msg/OccupancyGrid")
+        messages.Endpoint(
+            "MP",
+            "mapper",
+            "robot/map",
+            "nav_msgs/msg/OccupancyGrid",
+            f"RIHS01_{RIHS01['nav_msgs/msg/OccupancyGrid']}",
+            latched=True,
+        )
     ]
     assert messages.node_of_token(messages.node_token("abc", "robot", "matcher")) == "matcher"
     assert messages.node_of_token(token) is None

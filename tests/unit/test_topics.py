@@ -27,7 +27,7 @@ def test_every_subscription_is_bounded():
 def test_scans_give_way_to_newer_ones_and_only_diagnostics_and_tf_are_shared():
     assert topic("scan").keep == 1
     assert {name for name, row in TOPICS.items() if row.shared} == {"tf", "diagnostics"}
-    assert {name for name, row in TOPICS.items() if row.latched} == {"map", "trajectory"}
+    assert {name for name, row in TOPICS.items() if row.latched} == {"map", "trajectory", "tf_static"}
 
 
 def test_a_period_is_the_inverse_of_the_rate():
