@@ -23,6 +23,8 @@ INK = (70, 78, 88)
 
 _FINE = 2
 """Everything is drawn at this multiple and shrunk once, which smooths lines and letters."""
+_STRIP_PX, _LINE_PX = 44, 22
+"""Height of the strip under a map, and of each line of a caption that does not fit into it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +68,7 @@ def render(
         others: Ways (K, 2) of other guesses, drawn thinly in purple under the trajectory.
         hits: (M, 2) measured points, m, map frame, drawn in blue.
         hit_px: Half the edge of each hit.
-        caption: One line under the map, in Latin letters.
+        caption: Under the map, in Latin letters; one line where there is room for it.
         size_px: Longest side of the map in the picture; the cells are whole pixels where they fit.
         margin_m: Ground kept around what is known.
         bounds_m: Least x and y, greatest x and y to show, map frame; whatever is known or drawn if None.
@@ -105,6 +107,12 @@ def png(image: Image.Image) -> bytes:
     file = io.BytesIO()
     image.save(file, "PNG", optimize=True)
     return file.getvalue()
+
+
+def round_step(at_most: float) -> float:
+    """Return the greatest of ..., 0.5, 1, 2, 5, 10, ... that is not above a positive number."""
+    decade = 10.0 ** np.floor(np.log10(at_most))
+    return float(max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= at_most * 1.0001))
 
 
 def _points(points: ArrayLike | None) -> NDArray[np.float64]:
@@ -215,32 +223,46 @@ def _arrow(draw: ImageDraw.ImageDraw, at: tuple[float, float], heading_rad: floa
 
 
 def _with_legend(canvas: Image.Image, frame: _Frame, caption: str, *, marked: bool) -> Image.Image:
-    """Put a strip under the map: scale bar, caption, and on the right what the marks mean."""
+    """Put a strip under the map: scale bar, caption, and on the right what the marks mean.
+
+    A caption that is too long for its place beside the bar stands in lines of its own under it.
+    """
     font = ImageFont.load_default(15 * _FINE)
-    strip_px = 44 * _FINE
-    # A whole number of picture pixels after the shrinking.
-    width, height = (-(-n // _FINE) * _FINE for n in (canvas.width, canvas.height + strip_px))
-    page = Image.new("RGB", (width, height), FREE)
+    bar_m = round_step(0.25 * canvas.width / frame.px_per_m)
+    left, level = 16 * _FINE, canvas.height + _STRIP_PX * _FINE // 2
+    right = left + bar_m * frame.px_per_m
+    text = f"{bar_m:g} m" + (f"     {caption}" if caption else "")
+    below: list[str] = []
+    if right + 12 * _FINE + font.getlength(text) > canvas.width - 8 * _FINE:
+        text, below = f"{bar_m:g} m", _wrapped(caption, font, canvas.width - 2 * left)
+    longest = max((font.getlength(line) for line in below), default=0.0)
+    # A whole number of picture pixels after the shrinking; a word that is wider than the map widens the page.
+    asked = (max(canvas.width, round(longest) + 2 * left), canvas.height + _STRIP_PX * _FINE)
+    width, height = (-(-n // _FINE) * _FINE for n in asked)
+    page = Image.new("RGB", (width, height + len(below) * _LINE_PX * _FINE), FREE)
     page.paste(canvas, (0, 0))
     draw = ImageDraw.Draw(page)
-    bar_m = _bar_length(0.25 * canvas.width / frame.px_per_m)
-    left, level = 16 * _FINE, canvas.height + strip_px // 2
-    right = left + bar_m * frame.px_per_m
     draw.line((left, level, right, level), fill=INK, width=2 * _FINE)
     for x in (left, right):
         draw.line((x, level - 6 * _FINE, x, level + 6 * _FINE), fill=INK, width=2 * _FINE)
-    text = f"{bar_m:g} m" + (f"     {caption}" if caption else "")
     draw.text((right + 12 * _FINE, level), text, fill=INK, font=font, anchor="lm")
+    for number, line in enumerate(below, start=1):
+        draw.text((left, level + number * _LINE_PX * _FINE), line, fill=INK, font=font, anchor="lm")
     taken = right + 12 * _FINE + draw.textlength(text, font=font)
     if marked and canvas.width - taken > 150 * _FINE:
         _ring(draw, (canvas.width - 128 * _FINE, level))
         draw.text((canvas.width - 112 * _FINE, level), "start", fill=INK, font=font, anchor="lm")
         _arrow(draw, (canvas.width - 58 * _FINE, level), 0.0)
         draw.text((canvas.width - 40 * _FINE, level), "end", fill=INK, font=font, anchor="lm")
-    return page.resize((width // _FINE, height // _FINE), Image.Resampling.BOX)
+    return page.resize((page.width // _FINE, page.height // _FINE), Image.Resampling.BOX)
 
 
-def _bar_length(at_most_m: float) -> float:
-    """Return the longest of 1, 2, 5, 10, ... m that fits."""
-    decade = 10.0 ** np.floor(np.log10(at_most_m))
-    return float(max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= at_most_m * 1.0001))
+def _wrapped(text: str, font: "ImageFont.FreeTypeFont | ImageFont.ImageFont", width_px: float) -> list[str]:
+    """Break text between words into lines that are no wider, but for a word that is wider itself."""
+    lines: list[str] = []
+    for word in text.split():
+        if lines and font.getlength(f"{lines[-1]} {word}") <= width_px:
+            lines[-1] += f" {word}"
+        else:
+            lines.append(word)
+    return lines

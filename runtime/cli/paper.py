@@ -33,13 +33,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write figures, `tables.md` and `numbers.json`; the buildings are shared out to the cores."""
+    """Write figures, `index.html`, `tables.md` and `numbers.json`; the cores share the buildings out."""
     from runtime.cli.compiling import compile_here
 
     if not 20 <= args.scans <= 100_000:
         raise ConfigError(f"--scans = {args.scans}, must be in [20, 100000]")
     compile_here("paper")
-    from runtime.cli.study import tables
+    from runtime.cli.study import document, tables
     from runtime.cli.study.drives import BUILDINGS
     from runtime.config import refuse_unknown
     from runtime.formats.logs import open_log
@@ -59,11 +59,16 @@ def run(args: argparse.Namespace) -> int:
     buildings = {name: found[name] for name in names}
     hurried = {name: hurried[name] for name in names}
     logs = {name: numbers for name, numbers in found.items() if name not in buildings}
-    page = tables.page(buildings, hurried, logs)
-    (args.out / "tables.md").write_text(page, encoding="utf-8")
+    told = tables.page(buildings, hurried, logs)
+    page = [*told, *tables.figures([*buildings, *logs])]
+    (args.out / "tables.md").write_text(document.markdown(page), encoding="utf-8")
+    (args.out / "index.html").write_text(document.web_page(page), encoding="utf-8")
     report = {"buildings": buildings, "hurried": hurried, "logs": logs}
     (args.out / "numbers.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-    print(json.dumps({"out": str(args.out), **report}) if args.json else page.partition("## Figures")[0])
+    if args.json:
+        print(json.dumps({"out": str(args.out), **report}))
+    else:
+        print(f"{document.markdown(told)}\n{args.out}/index.html: this with the figures")
     return 0
 
 

@@ -33,6 +33,7 @@ def test_the_figures_show_the_way_and_its_hits(paper):
     names = {path.name for path in paper.glob("*.png")}
     assert {f"fig{kind}-doorway.png" for kind in kinds} == names
     assert all(f"({name})" in (paper / "tables.md").read_text() for name in names)
+    assert all(f'<img src="{name}"' in (paper / "index.html").read_text() for name in names)
     pixels = np.asarray(Image.open(paper / "fig6-way-doorway.png")).astype(int)
     for colour, least in ((HITS, 1000), (PATH, 50)):
         assert (np.abs(pixels - colour).max(axis=-1) < 20).sum() > least

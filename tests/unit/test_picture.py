@@ -90,7 +90,31 @@ def test_a_map_of_which_nothing_is_known_is_still_a_picture():
 
 @pytest.mark.parametrize(("fits_m", "bar_m"), [(0.9, 0.5), (1.0, 1.0), (4.9, 2.0), (60.0, 50.0), (199, 100)])
 def test_the_scale_bar_is_a_round_number_that_fits(fits_m, bar_m):
-    assert picture._bar_length(fits_m) == bar_m
+    assert picture.round_step(fits_m) == bar_m
+
+
+def ink(image):
+    """Columns of the lower strip that have letters or the bar in them."""
+    return np.unique(near(image, np.array(picture.INK), tolerance=60)[:, 1])
+
+
+def test_a_caption_that_is_too_long_for_a_narrow_map_goes_on_under_it():
+    tower = np.zeros((200, 40), dtype=np.float32)  # 180 px wide
+    bare, short, long = (
+        picture.render(tower, 0.05, (0.0, 0.0), caption=words, size_px=700)
+        for words in ("", "a b", "three hundred and thirty-three points of one sweep")
+    )
+    assert bare.size == short.size
+    assert long.width == short.width
+    assert long.height > short.height + 40
+    assert ink(long).max() < long.width - 8
+    assert near(long, np.array(picture.INK), tolerance=60)[:, 0].max() > short.height
+
+
+def test_a_word_that_is_wider_than_the_map_widens_the_page():
+    tower = np.zeros((200, 8), dtype=np.float32)
+    image = picture.render(tower, 0.05, (0.0, 0.0), caption="counterrevolutionaries", size_px=200)
+    assert ink(image).max() < image.width - 8
 
 
 def test_the_scale_bar_has_the_length_that_it_names():

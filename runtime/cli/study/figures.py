@@ -112,9 +112,10 @@ def particles(drive: Drive, followed: Followed) -> Image.Image:
     """
     best, *others = followed.lineages
     ways = [(best + _MAGNIFIED * (other - best))[:, :2] for other in others]
-    settled = int(np.sum(np.all([np.all(other == best, axis=1) for other in others], axis=0)))
+    shared = int(np.sum(np.all([np.all(other == best, axis=1) for other in others], axis=0)))
     caption = (
-        f"{drive.name}: {len(others) + 1} particles, apart x {_MAGNIFIED}; settled: {settled} of {len(best)}"
+        f"{drive.name}: {len(others) + 1} particles, {_MAGNIFIED} times as far apart as they are;"
+        f" {shared} of {len(best)} key scans in common"
     )
     return render(_EMPTY, 0.05, (0.0, 0.0), best, others=ways, caption=caption, size_px=SIZE_PX)
 

@@ -1,6 +1,6 @@
-"""The tables of the study, as Markdown: settings, each building, what each stage is worth, logs, figures."""
+"""The tables of the study (settings, each building, what each stage is worth, logs) and its figures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from processing.evolution import TABLE_1
 from processing.odometry import OdometryConfig
 from runtime.cli.study import stages
+from runtime.cli.study.document import Block, Figure, Heading, Table, Words
 from runtime.cli.study.work import HURRY, Numbers
 
 Columns = Sequence[tuple[str, str, str]]
@@ -32,61 +33,137 @@ _LOGGED: Columns = (
     ("ms", "ms a scan", "{:.1f}"),
 )
 _FIGURES = (
-    ("fig2-resampling", "2. A sweep, and what resampling keeps of it"),
-    ("fig4-evolution", "4. The members of the search, generation by generation"),
-    ("fig5-matching", "5. A sweep before and after its match (black: the reference), and how the score rose"),
-    ("fig6-way", "6. The way by the matcher alone, red, over all hits, blue; the truth grey"),
-    ("fig7-way", "7. The same with the mapper"),
-    ("fig8-map", "8. The map"),
-    ("fig9-particles", "9. The ways of the particles, thirty times as far apart as they are"),
+    (
+        "fig2-resampling",
+        "2. What resampling keeps",
+        "All points of one sweep, and those that saliency-based resampling keeps of it: corners and ends of"
+        " walls densely, long straight walls thinly.",
+    ),
+    (
+        "fig4-evolution",
+        "4. How the search closes in",
+        "The members of differential evolution in the window that is searched for the pose of a sweep: the"
+        " dot is the place, the stroke the heading. Here the search does not end when all of them meet.",
+    ),
+    (
+        "fig5-matching",
+        "5. A match",
+        "A sweep (blue) on an earlier one (black), where the search begins and where it ends; and how the"
+        " score a point rose, best member and mean of all, with the paper's Table 1 and with the default.",
+    ),
+    (
+        "fig6-way",
+        "6. The way by the matcher alone",
+        "Red: the way; blue: all hits, placed by it; grey: the true way, where it is known.",
+    ),
+    (
+        "fig7-way",
+        "7. The way by matcher and mapper",
+        "As in figure 6, with the mapper's corrections.",
+    ),
+    (
+        "fig8-map",
+        "8. The map",
+        "White: free; black: wall; grey ground: not seen; red: the way; grey line: the true way.",
+    ),
+    (
+        "fig9-particles",
+        "9. The particles",
+        "Red: the way of the best particle, key scan by key scan; purple: the ways of the others, thirty"
+        " times as far from it as they are: at their own size they would lie within the red line. Where no"
+        " purple is seen, all particles descend from one: they have that part of the way in common, and the"
+        " caption counts its key scans.",
+    ),
 )
+BLIND_SHARE = 0.05
+"""A building is left out of the means if on more of its scans one direction is not seen."""
 
 
 def page(
     buildings: Mapping[str, Numbers], hurried: Mapping[str, Numbers], logs: Mapping[str, Numbers]
-) -> str:
-    """Return everything.
+) -> list[Block]:
+    """Return the tables.
 
     Args:
         buildings: Errors by building and variant.
         hurried: The same of the hurried drives.
         logs: Figures by log and variant.
     """
-    parts = ["# The method in numbers\n", "Made by `hallway paper`; rms where nothing else is said.\n"]
-    parts += ["## Settings (the paper's Table 1)\n", _settings()]
+    parts: list[Block] = [
+        Heading("The method in numbers", 1),
+        Words("Made by `hallway paper`; rms where nothing else is said."),
+        Heading("Settings (the paper's Table 1)"),
+        _settings(),
+    ]
     if buildings:
-        rows = {name: numbers[stages.WHOLE] for name, numbers in buildings.items()}
+        whole = {name: numbers[stages.WHOLE] for name, numbers in buildings.items()}
         alone = {name: numbers[stages.MATCHER] for name, numbers in buildings.items()}
+        compared = seen_buildings(buildings)
         parts += [
-            "## Each building\n",
-            "Errors against the truth of drives with the noise of a URG-04LX, by the whole pipeline.\n",
-            _table(rows, "building", _FOLLOWED),
-            "By the matcher alone:\n",
+            Heading("Each building"),
+            Words("Errors against the truth of drives with the noise of a URG-04LX, by the whole pipeline."),
+            _table(whole, "building", _FOLLOWED),
+            Words("By the matcher alone:"),
             _table(alone, "building", _FOLLOWED),
-            "## What each stage is worth\n",
-            "Means over the buildings in which every direction is seen; lost and unseen are sums. In a bare"
-            " corridor no laser knows how far it went; what counts is that it says so: see above.\n",
-            _table(_means(buildings), "pipeline", _FOLLOWED),
-            f"The same drives {HURRY} times as fast: only every {HURRY}th sweep is seen.\n",
-            _table(_means(hurried), "pipeline", _FOLLOWED),
+            Heading("What each stage is worth"),
+            Words(_compared(compared, list(buildings))),
+            _table(_means(buildings, compared or buildings), "pipeline", _FOLLOWED),
+            Words(f"The same drives {HURRY} times as fast: only every {HURRY}th sweep is seen."),
+            _table(_means(hurried, compared or buildings), "pipeline", _FOLLOWED),
         ]
     for name, numbers in logs.items():
         parts += [
-            f"## {name}\n",
-            "Nobody knows the truth; low entropy and few rays through walls are a crisp map.\n",
+            Heading(name),
+            Words("Nobody knows the truth; low entropy and few rays through walls are a crisp map."),
             _table({variant: numbers[variant] for variant in stages.of_a_log()}, "pipeline", _LOGGED),
         ]
-    return "\n".join([*parts, "## Figures\n", _figures([*buildings, *logs])])
+    return parts
 
 
-def _settings() -> str:
+def figures(names: Sequence[str]) -> list[Block]:
+    """Return the figures of these drives, each kind with its explanation."""
+    parts: list[Block] = [Heading("Figures")]
+    for file, title, explanation in _FIGURES:
+        parts += [Heading(title, 3), Words(explanation)]
+        parts += [Figure(f"{file}-{name.replace(' ', '-')}.png", name) for name in names]
+    return parts
+
+
+def seen_buildings(buildings: Mapping[str, Numbers]) -> list[str]:
+    """Return the buildings in which the matcher sees all directions, but for a small share of the scans.
+
+    In a bare corridor nobody can know how far the laser went: its error would drown every difference.
+    """
+    alone = {name: numbers[stages.MATCHER] for name, numbers in buildings.items()}
+    return [name for name, row in alone.items() if row["degenerate"] <= BLIND_SHARE * row["scans"]]
+
+
+def _compared(names: Sequence[str], all_names: Sequence[str]) -> str:
+    if not names:
+        return (
+            f"Means over {_listed(all_names)}; lost and unseen are sums. In each of them one direction is"
+            f" unseen on more than {BLIND_SHARE:.0%} of the scans, and what was driven there unseen drowns"
+            " the differences between the stages: these means compare little."
+        )
+    return (
+        f"Means over {_listed(names)}, where one direction is unseen on {BLIND_SHARE:.0%} of the scans at"
+        " most (by the matcher alone); lost and unseen are sums. In a bare corridor no laser knows how far it"
+        " went; what counts is that it says so: see above."
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def _settings() -> Table:
     ours = OdometryConfig()
     search, ndt = ours.matching.search, ours.ndt
     fine = f" and {ndt.fine_cell_m:g}" if ndt.fine_cell_m else ""
     rows = (
         ("NDT cell, m", "0.5", f"{ndt.cell_m:g}{fine}"),
-        ("members, NP", TABLE_1.population, search.population),
-        ("generations, G", TABLE_1.generations, f"{search.generations} at most"),
+        ("members, NP", str(TABLE_1.population), str(search.population)),
+        ("generations, G", str(TABLE_1.generations), f"{search.generations} at most"),
         ("factor, F", f"{TABLE_1.factor:g}", f"{search.factor:g}"),
         ("crossover, CR", f"{TABLE_1.crossover:g}", f"{search.crossover:g}"),
         (
@@ -96,16 +173,11 @@ def _settings() -> str:
         ),
         ("reference", "previous scan", f"the last {ours.key_scans} key scans"),
     )
-    lines = [f"| {name} | {paper} | {hallway} |" for name, paper, hallway in rows]
-    return "\n".join(["| | paper | Hallway |\n|---|---|---|", *lines]) + "\n"
+    return Table(("", "paper", "Hallway"), rows)
 
 
-def _means(numbers: Mapping[str, Numbers]) -> Numbers:
-    # In a bare corridor nobody can know how far the laser went: its error would drown every difference.
-    seen = [rows for rows in numbers.values() if not rows[stages.MATCHER]["degenerate"]]
-    return {
-        variant: _mean([rows[variant] for rows in seen or numbers.values()]) for variant in stages.variants()
-    }
+def _means(numbers: Mapping[str, Numbers], names: Collection[str]) -> Numbers:
+    return {variant: _mean([numbers[name][variant] for name in names]) for variant in stages.variants()}
 
 
 def _mean(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
@@ -113,19 +185,8 @@ def _mean(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {key: float((np.sum if key in sums else np.mean)([row[key] for row in rows])) for key in rows[0]}
 
 
-def _table(rows: Mapping[str, Mapping[str, Any]], first: str, columns: Columns) -> str:
-    titles = " | ".join(title for _, title, _ in columns)
-    head = f"| {first} | {titles} |\n|" + "---|" * (len(columns) + 1)
-    lines = [
-        f"| {name} | " + " | ".join(form.format(row[key]) for key, _, form in columns) + " |"
-        for name, row in rows.items()
-    ]
-    return "\n".join([head, *lines]) + "\n"
-
-
-def _figures(names: Sequence[str]) -> str:
-    parts = []
-    for file, title in _FIGURES:
-        pictures = [f"![{name}]({file}-{name.replace(' ', '-')}.png)" for name in names]
-        parts += [f"### {title}\n", *pictures, ""]
-    return "\n".join(parts)
+def _table(rows: Mapping[str, Mapping[str, Any]], first: str, columns: Columns) -> Table:
+    titles = (first, *(title for _, title, _ in columns))
+    return Table(
+        titles, [(name, *(form.format(row[key]) for key, _, form in columns)) for name, row in rows.items()]
+    )
