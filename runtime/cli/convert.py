@@ -46,13 +46,16 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{target}: its folder {target.parent} does not exist")
     if not source.exists():
         raise FileNotFoundError(2, "No such file or directory", str(source))
-    partial = target.with_name(f".{target.name}.partial{target.suffix}")
-    _remove(partial)
+    unfinished = target.with_name(f".{target.name}.partial")
+    shutil.rmtree(unfinished, ignore_errors=True)
     try:
+        unfinished.mkdir()
+        # Under its own name: a ROS 2 bag calls the file in it after itself.
+        partial = unfinished / target.name
         report = _convert(source, partial, kind, args.topic)
         partial.rename(target)
     finally:
-        _remove(partial)
+        shutil.rmtree(unfinished, ignore_errors=True)
     report = {"source": str(source), "target": str(target), "kind": kind, **report}
     if args.json:
         print(json.dumps(report))
@@ -191,10 +194,3 @@ def _is_trajectory(source: Path) -> bool:
         return len(tokens) == 8 and bool([float(token) for token in tokens])
     except (FormatError, ValueError):
         return False
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    path.unlink(missing_ok=True)
-    path.with_name(path.name + ".active").unlink(missing_ok=True)

@@ -108,6 +108,7 @@ def test_another_topic_of_poses_can_be_asked_for(recording, tmp_path, capsys):
 
 def test_a_recording_goes_into_a_ros_2_bag_with_all_its_topics(recording, tmp_path):
     assert main(["convert", str(recording), str(tmp_path / "bag")]) == 0
+    assert {path.name for path in (tmp_path / "bag").iterdir()} == {"bag.db3", "metadata.yaml"}
     from rosbags.highlevel import AnyReader
 
     with AnyReader([tmp_path / "bag"]) as bag:
