@@ -40,6 +40,8 @@ ELSEWHERE = {
     "replay walk.mcap --as film --paused": "test_replay, key by key",
     "teleop": "test_teleop, on a terminal",
     "paper --out paper": "test_paper_command",
+    "paper --buildings doorway --scans 120": "test_paper_command, with fewer scans",
+    "paper --buildings floor loop": "test_paper_command, in a doorway",
     "paper --logs exp1.dat exp2.dat ccny_urg.bag": "test_paper_command, with a log of its own",
 }
 

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from runtime.cli import main
-from runtime.cli.study import drives, stages
+from runtime.cli.study import drives, figures, stages
 from runtime.picture import HITS, PATH
 
 
@@ -82,3 +82,8 @@ def test_errors_of_the_truth_itself_are_none():
 def test_a_wrong_wish_is_one_clear_line(wrong, message, tmp_path, capsys):
     assert main(["paper", "--out", str(tmp_path / "p"), *wrong]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_the_curves_have_room_beside_a_low_picture():
+    wide = figures.matching(drives.drive("hallway", 40, 1), 20, 1)
+    assert wide.height >= 320

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 _STYLE = """
 body { font: 15px/1.5 sans-serif; color: #1c2430; max-width: 1120px; margin: 24px auto; padding: 0 16px }
 table { border-collapse: collapse; display: block; overflow-x: auto; margin: 12px 0 }
-th, td { padding: 3px 9px; border-bottom: 1px solid #e2e6ea; text-align: right; white-space: nowrap }
+th, td { padding: 3px 9px; border-bottom: 1px solid #e2e6ea; text-align: right; vertical-align: bottom }
+td { white-space: nowrap }
 th:first-child, td:first-child { text-align: left }
 figure { margin: 18px 0 } figcaption { color: #464e58 } img { max-width: 100%; border: 1px solid #e2e6ea }
 """

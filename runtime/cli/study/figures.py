@@ -74,7 +74,9 @@ def matching(drive: Drive, number: int, seed: int) -> Image.Image:
         _over(reference, transform(pose, scan), words)
         for pose, words in ((guess, "the guess"), (found, "the match"))
     ]
-    return beside([*pictures, curves.plot(curved, "score by generation", pictures[0].height)])
+    # A corridor is a low picture, in which the curves would have no room.
+    size_px = max(pictures[0].height, 320)
+    return beside([*pictures, curves.plot(curved, "score by generation", size_px)])
 
 
 def way(drive: Drive, followed: Followed, who: str) -> Image.Image:

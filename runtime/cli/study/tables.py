@@ -71,8 +71,8 @@ _FIGURES = (
         "9. The particles",
         "Red: the way of the best particle, key scan by key scan; purple: the ways of the others, thirty"
         " times as far from it as they are: at their own size they would lie within the red line. Where no"
-        " purple is seen, all particles descend from one: they have that part of the way in common, and the"
-        " caption counts its key scans.",
+        " purple is seen they agree to a millimetre or so. The caption says how many key scans, from the"
+        " start on, all particles have in common, because they descend from one.",
     ),
 )
 BLIND_SHARE = 0.05
@@ -91,7 +91,7 @@ def page(
     """
     parts: list[Block] = [
         Heading("The method in numbers", 1),
-        Words("Made by `hallway paper`; rms where nothing else is said."),
+        Words("Made by the command hallway paper; rms where nothing else is said."),
         Heading("Settings (the paper's Table 1)"),
         _settings(),
     ]
@@ -142,13 +142,13 @@ def _compared(names: Sequence[str], all_names: Sequence[str]) -> str:
     if not names:
         return (
             f"Means over {_listed(all_names)}; lost and unseen are sums. In each of them one direction is"
-            f" unseen on more than {BLIND_SHARE:.0%} of the scans, and what was driven there unseen drowns"
-            " the differences between the stages: these means compare little."
+            f" unseen on more than {100 * BLIND_SHARE:g} % of the scans, and what was driven there unseen"
+            " drowns the differences between the stages: these means compare little."
         )
     return (
-        f"Means over {_listed(names)}, where one direction is unseen on {BLIND_SHARE:.0%} of the scans at"
-        " most (by the matcher alone); lost and unseen are sums. In a bare corridor no laser knows how far it"
-        " went; what counts is that it says so: see above."
+        f"Means over {_listed(names)}, where one direction is unseen on {100 * BLIND_SHARE:g} % of the"
+        " scans at most (by the matcher alone); lost and unseen are sums. In a bare corridor no laser knows"
+        " how far it went; what counts is that it says so: see above."
     )
 
 
