@@ -105,42 +105,41 @@ BEFORE = (
     Call("layer results/day1 --keepout keepout.pgm", 0, "out"),
     Call("layer results/day1 --clear all", 0, ""),
 )
-# 1 says that something is to be seen to: on a busy machine poses are late.
+BUSY = (0, 4)
+"""On a busy machine a message is lost now and then; 4 says so, of the recording and all that read it."""
 DURING = (
+    # 1 says that something is to be seen to: on a busy machine poses are late.
     Call("status --once", (0, 1), "TRACKING"),
     Call("logs", 0, "mapper"),
     Call("topic list", 0, "robot/scan"),
     Call("topic hz scan", 0, "5 messages", ("-n", "5")),
     Call("topic delay pose", 0, "5 messages", ("-n", "5")),
-    Call("topic echo battery", 0, "percentage=", ("-n", "1")),
-    Call("record", 0, "messages in recordings/robot-", ("--duration", "1")),
-    Call("record --out walk.mcap --duration 20", 0, "messages in walk.mcap", ("--duration", "6")),
+    Call("topic echo battery", 0, "percentage: ", ("-n", "1")),
+    Call("record", BUSY, "messages in recordings/robot-", ("--duration", "1")),
+    Call("record --out walk.mcap --duration 20", BUSY, "messages in walk.mcap", ("--duration", "6")),
     Call(
         "record --out parts.mcap --topics scan pose --split-s 5 --duration 12",
-        0,
+        BUSY,
         "parts_000.mcap, parts_001.mcap, parts_002.mcap",
         ("--split-s", "1", "--duration", "2.5"),
     ),
+    Call("record --keep --out crash", 0, "crash/: ring_0"),
 )
-# The ring turns while what is in it is kept.
-RING = Call("record --ring 300", 130, "messages in recordings/robot-", ("--ring", "10"))
-KEEP = Call("record --keep --out crash", 0, "crash/: robot-")
 AFTER = (
     Call("map results/latest/recording.mcap --out results/again", 0, "report.html"),
-    Call("info walk.mcap", 0, "/robot/scan"),
+    Call("info walk.mcap", BUSY, "/robot/scan"),
     Call("view walk.mcap --save walk.rrd", 0, "saved to walk.rrd"),
-    Call("map walk.mcap --out results/offline", 0, "report.html"),
-    # 4: on a busy machine scans are late.
-    Call("replay walk.mcap --map", (0, 4), "scans mapped"),
-    Call("replay walk.mcap", 0, "as robot 'robot'", ("--rate", "0")),
-    Call("replay walk.mcap --as film --rate 5", 0, "as robot 'film'"),
-    Call("replay parts_000.mcap parts_001.mcap parts_002.mcap --as film", 0, " scan", ("--rate", "0")),
-    Call("convert walk.mcap walk-ros2", 0, "cannot hold the publishers' sequence numbers"),
-    Call("convert walk.mcap walk.bag", 0, "only laser scans"),
-    Call("convert walk.mcap walk.clf", 0, "time_increment"),
-    Call("convert walk.mcap walk.dat", 0, "scans"),
-    Call("convert walk.mcap walk.tum", 0, "poses"),
-    Call("convert walk.mcap poses.tum --topic /robot/pose", 0, "poses"),
+    Call("map walk.mcap --out results/offline", BUSY, "report.html"),
+    Call("replay walk.mcap --map", BUSY, "scans mapped"),
+    Call("replay walk.mcap", BUSY, "as robot 'robot'", ("--rate", "0")),
+    Call("replay walk.mcap --as film --rate 5", BUSY, "as robot 'film'"),
+    Call("replay parts_000.mcap parts_001.mcap parts_002.mcap --as film", BUSY, " scan", ("--rate", "0")),
+    Call("convert walk.mcap walk-ros2", BUSY, "cannot hold the publishers' sequence numbers"),
+    Call("convert walk.mcap walk.bag", BUSY, "only laser scans"),
+    Call("convert walk.mcap walk.clf", BUSY, "time_increment"),
+    Call("convert walk.mcap walk.dat", BUSY, "scans"),
+    Call("convert walk.mcap walk.tum", BUSY, "poses"),
+    Call("convert walk.mcap poses.tum --topic /robot/pose", BUSY, "poses"),
     Call("convert cut.mcap.active cut.mcap", 4, "the file was cut", first=cut),
 )
 
@@ -196,17 +195,13 @@ def type_in(desk, shell, call):
     call.first(desk)
     with shell(*call.words.split(), *call.more) as process:
         said = process.communicate(timeout=150)[0]
-    check(call, process.returncode, said)
-
-
-def check(call, code, said):
     codes = call.code if isinstance(call.code, tuple) else (call.code,)
-    assert code in codes, f"hallway {call.words}: {said}"
+    assert process.returncode in codes, f"hallway {call.words}: {said}"
     assert call.says in said, f"hallway {call.words}: {said}"
 
 
 def test_every_call_of_the_pages_is_typed_somewhere():
-    typed = {call.words for call in (*BEFORE, *DURING, RING, KEEP, *AFTER)}
+    typed = {call.words for call in (*BEFORE, *DURING, *AFTER)}
     assert {" ".join(words) for _, words in calls()} == typed | set(ELSEWHERE)
 
 
@@ -221,30 +216,12 @@ def test_the_pages_can_be_walked_through(desk, shell):
             wait_for_track(desk / "run" / "robot", up)
             for call in DURING:
                 type_in(desk, shell, call)
-            keep_a_ring(desk, shell)
         finally:
             up.send_signal(2)
             said = up.communicate(timeout=60)[0]
     assert up.returncode == 130, said
     for call in AFTER:
         type_in(desk, shell, call)
-
-
-def keep_a_ring(desk, shell):
-    before = set((desk / "recordings").iterdir())
-    with shell(*RING.words.split(), *RING.more) as ring:
-        try:
-            end = time.monotonic() + 60.0
-            while set((desk / "recordings").iterdir()) <= before:
-                assert time.monotonic() < end
-                assert ring.poll() is None
-                time.sleep(0.05)
-            type_in(desk, shell, KEEP)
-        finally:
-            ring.send_signal(2)
-            said = ring.communicate(timeout=60)[0]
-    check(RING, ring.returncode, said)
-    assert list((desk / "crash").glob("*.mcap"))
 
 
 def wait_for_track(run_dir, up, within_s=150.0):
