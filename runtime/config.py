@@ -19,14 +19,24 @@ from runtime.errors import ConfigError
 T = TypeVar("T")
 
 
-def refuse_unknown(keys: typing.Iterable[Any], known: typing.Collection[str], where: str) -> None:
-    """Raise ConfigError, with a guess, for the first key that is not among the known ones."""
+def refuse_unknown(
+    keys: typing.Iterable[Any], known: typing.Collection[str], where: str, *, what: str = "key"
+) -> None:
+    """Raise ConfigError, with a guess, for the first key that is not among the known ones.
+
+    Args:
+        keys: What was written.
+        known: What may be.
+        where: Its place.
+        what: The word for one of them.
+    """
     for key in keys:
         if key not in known:
             near = difflib.get_close_matches(str(key), known, n=1)
             known_text = ", ".join(sorted(known)) or "none"
             hint = f"; did you mean {near[0]!r}?" if near else f"; known: {known_text}"
-            raise ConfigError(f"{where}.{key}: unknown key{hint}")
+            place = f"{where}.{key}" if what == "key" else f"{where} {key}"
+            raise ConfigError(f"{place}: unknown {what}{hint}")
 
 
 def build(cls: type[T], data: Mapping[str, Any] | None, where: str = "config") -> T:
@@ -34,8 +44,12 @@ def build(cls: type[T], data: Mapping[str, Any] | None, where: str = "config") -
     if not isinstance(data := {} if data is None else data, Mapping):
         raise ConfigError(f"{where}: must be a mapping of {cls.__name__}, got {data!r}")
     hints = typing.get_type_hints(cls)
-    names = [f.name for f in dataclasses.fields(cls) if f.init]  # type: ignore[arg-type]
-    refuse_unknown(data, names, where)
+    fields = [f for f in dataclasses.fields(cls) if f.init]  # type: ignore[arg-type]
+    refuse_unknown(data, [f.name for f in fields], where)
+    for field in fields:
+        required = field.default is field.default_factory is dataclasses.MISSING
+        if required and field.name not in data:
+            raise ConfigError(f"{where}: {field.name} is missing")
     values = {name: _value(hints[name], value, f"{where}.{name}") for name, value in data.items()}
     try:
         return cls(**values)

@@ -132,16 +132,19 @@ def launch_dir() -> Path:
     return here / "_launch" if (here / "_launch").is_dir() else here.parent / "launch"
 
 
+def ours() -> list[str]:
+    """Return the names of the graphs that we bring."""
+    return sorted(path.stem for path in launch_dir().glob("*.yaml"))
+
+
 def find(name: str) -> Path:
     """Return the file of a graph given by path or by the name of one that we bring; raises ConfigError."""
     path = Path(name)
     if path.is_file():
         return path
-    ours = launch_dir() / f"{name}.yaml"
-    if path.name == name and not path.suffix and ours.is_file():
-        return ours
-    known = ", ".join(sorted(p.stem for p in launch_dir().glob("*.yaml"))) or "none"
-    raise ConfigError(f"graph {name!r}: no such file, and not one of ours: {known}")
+    if name in ours():
+        return launch_dir() / f"{name}.yaml"
+    raise ConfigError(f"graph {name!r}: no such file, and not one of ours: {', '.join(ours()) or 'none'}")
 
 
 def load(path: Path) -> Graph:

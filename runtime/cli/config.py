@@ -12,7 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         action = actions.add_parser(name, help=text, description=text)
         action.add_argument(
-            "graph", nargs="?", default="demo", help="demo, onboard, or a YAML file (default demo)"
+            "graph", nargs="?", default="demo", help="demo, handheld, onboard, or a YAML file (default demo)"
         )
 
 
