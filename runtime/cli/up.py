@@ -150,6 +150,7 @@ def _has_screen() -> bool:
 def _check(file: Path, headless: bool) -> dict[str, Any]:
     """Check every node in a process of its own: the modules are heavy, and this one stays light."""
     from runtime.cli.compiling import compile_all
+    from runtime.cli.patience import told
     from runtime.clock import Clock
     from runtime.errors import ConfigError, HallwayError
     from runtime.supervisor import child_environment
@@ -158,14 +159,19 @@ def _check(file: Path, headless: bool) -> dict[str, Any]:
     if headless:
         command.append("--headless")
     environment = child_environment(Clock())
-    compile_all(environment, lambda line: print(line, file=sys.stderr, flush=True))
-    check = subprocess.run(command, capture_output=True, text=True, env=environment)
+    compile_all(environment, _tell)
+    with told(_tell, "still loading the modules of the graph; what was never compiled is compiled now ..."):
+        check = subprocess.run(command, capture_output=True, text=True, env=environment)
     if check.returncode == 0:
         return dict(json.loads(check.stdout))
     lines = check.stderr.strip().splitlines() or [f"exit code {check.returncode}"]
     if check.returncode == ConfigError.exit_code:
         raise ConfigError(lines[-1])
     raise HallwayError(f"{file}: the check failed: {lines[-1]}")
+
+
+def _tell(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 def _empty(out: Path) -> None:
