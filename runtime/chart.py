@@ -78,7 +78,7 @@ def _drawn(
     return _svg(HEIGHT, body)
 
 
-def strip(x: NDArray[np.float64], states: Sequence[str], colours: Mapping[str, str]) -> str:
+def strip(x: NDArray[np.float64], states: ArrayLike, colours: Mapping[str, str]) -> str:
     """Draw which state held when, as a coloured bar."""
     words = np.asarray(states)
     edges = np.flatnonzero(words[1:] != words[:-1]) + 1

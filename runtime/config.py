@@ -6,6 +6,8 @@ Every error is a `ConfigError` that names place, rule and value; an unknown key 
 import dataclasses
 import difflib
 import enum
+import math
+import textwrap
 import types
 import typing
 from collections.abc import Mapping
@@ -146,6 +148,32 @@ def load(cls: type[T], path: Path, section: str | None = None) -> T:
     if not isinstance(data, Mapping) or section not in data:
         raise ConfigError(f"{path}: section {section!r} is missing")
     return build(cls, data[section], f"{path}: {section}")
+
+
+def annotated_yaml(value: Mapping[str, Any], notes: Mapping[str, str], inside: str = "") -> str:
+    """Write nested mappings as YAML, one line for each value, with a comment behind it.
+
+    Args:
+        value: As `plain` returns it.
+        notes: The comments, by the keys from the outermost mapping inwards, joined with dots.
+        inside: Place of `value` itself.
+    """
+    lines = []
+    for key, item in value.items():
+        place = f"{inside}.{key}" if inside else key
+        if isinstance(item, Mapping) and item:
+            block = annotated_yaml(item, notes, place)
+            lines.append(f"{key}:\n{textwrap.indent(block, '  ')}")
+        else:
+            line = f"{in_yaml(key)}: {in_yaml(item)}"
+            lines.append(f"{line}  # {notes[place]}\n" if notes.get(place) else f"{line}\n")
+    return "".join(lines)
+
+
+def in_yaml(item: Any) -> str:
+    """Write one plain value as it stands behind a key, in one line."""
+    flow = yaml.safe_dump([item], default_flow_style=True, width=math.inf, allow_unicode=True)
+    return str(flow).strip()[1:-1]
 
 
 def to_yaml(value: Any) -> str:

@@ -31,6 +31,7 @@ class NodeSpec:
     module: str
     """`matcher` for `runtime.nodes.matcher`, or the dotted name of any module like it."""
     config: dict[str, Any] = field(default_factory=dict)
+    """Of the module: the tables below."""
     after: tuple[str, ...] = ()
     """Nodes that must be ready before this one starts."""
     restart: Literal["never", "on-failure", "always"] = "on-failure"
@@ -68,6 +69,7 @@ class Graph:
     """The processes of one robot."""
 
     nodes: dict[str, NodeSpec]
+    """The processes by name; each has the keys of the next table."""
     robot: str = "robot"
     domain: int = 0
     """ROS domain, 0 .. 232."""
