@@ -208,8 +208,11 @@ class _Base:
             self._port.publish("battery", battery_message(telemetry, now_ns))
         told = (self._safety.state, self._safety.reason)
         if told != self._told or now_ns - self._reported_ns >= _SECOND_NS // 2:
+            state_before = self._told[0] if self._told else State.DISARMED
             self._told, self._reported_ns = told, now_ns
             level, text = self._verdict()
+            if level == "ok" and self._safety.state is not state_before:
+                self._port.log.info("%s", text)  # of what is well the frame logs nothing
             self._port.report(level, text, **self._values(now_ns))
 
     def _verdict(self) -> tuple[Level, str]:
@@ -218,7 +221,8 @@ class _Base:
         text = ", ".join((text, *warnings))
         if state is State.STOPPED:
             return "error", text
-        calm = state is State.ARMED or (state is State.DISARMED and reason.startswith(_FAULTLESS))
+        at_work = state in (State.ARMING, State.ARMED)
+        calm = at_work or (state is State.DISARMED and reason.startswith(_FAULTLESS))
         return ("ok" if calm and not warnings else "warn"), text
 
     def _values(self, now_ns: int) -> dict[str, object]:

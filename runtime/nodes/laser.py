@@ -124,7 +124,8 @@ class _Laser:
         self._port, self._config, self._reader = port, config, reader
         self._beams: Beams | None = None
         self._told: Counter[str] = Counter()
-        self._state: tuple[Level, str] = ("warn", "looking for the sensor")
+        self._state: tuple[Level, str] = ("ok", "looking for the sensor")
+        port.log.info("looking for the sensor")
         self._unit = ""
         self._reported_ns = 0
         self._stamps: deque[int] = deque(maxlen=50)
