@@ -91,6 +91,7 @@ class _Base:
         self._began_ns, self._patience_ns = port.clock.now_ns(), round(config.patience_s * 1e9)
         self._bumps: int | None = None
         self._told: tuple[State, str] | None = None
+        self._level: Level = "ok"
         self._reported_ns = self._charged_ns = 0
         self._telemetry: Telemetry | None = None
         self._telemetry_ns = 0
@@ -145,6 +146,7 @@ class _Base:
         self._telemetry = self._told = None
         if self._port.stopping or self._orphaned():
             return
+        self._level = "error"
         self._port.report("error", str(error), **self._values(self._port.clock.now_ns()))
         self._port.count("line_failures")
         if isinstance(error, SilentError):
@@ -211,8 +213,9 @@ class _Base:
             state_before = self._told[0] if self._told else State.DISARMED
             self._told, self._reported_ns = told, now_ns
             level, text = self._verdict()
-            if level == "ok" and self._safety.state is not state_before:
-                self._port.log.info("%s", text)  # of what is well the frame logs nothing
+            if level == self._level == "ok" and self._safety.state is not state_before:
+                self._port.log.info("%s", text)  # the frame logs changes of level only
+            self._level = level
             self._port.report(level, text, **self._values(now_ns))
 
     def _verdict(self) -> tuple[Level, str]:

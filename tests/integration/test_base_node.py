@@ -1,6 +1,7 @@
 """The base node with its watchdog on an emulated robot: what it says, whom it obeys, how it leaves."""
 
 import importlib.util
+import itertools
 import logging
 import os
 import threading
@@ -45,15 +46,15 @@ def test_it_starts_passive_and_leaves_passive(tmp_path):
         assert last[0].data == last[1].data == bytes(4)
 
 
-def test_a_drive_without_a_fault_is_logged_without_a_warning(tmp_path, caplog):
+def test_arming_is_logged_once_and_is_no_warning(tmp_path, caplog):
     caplog.set_level(logging.INFO)
     with Rig(tmp_path) as rig:
         rig.drive()
         rig.stop()
     lines = [(record.levelname, record.message) for record in caplog.records]
-    assert ("INFO", "arming") in lines
-    assert ("INFO", "armed") in lines
-    assert {level for level, _ in lines} == {"INFO"}
+    assert {("INFO", "arming"), ("INFO", "armed")} <= set(lines)
+    assert ("WARNING", "arming") not in lines
+    assert all(first != second for first, second in itertools.pairwise(lines))
 
 
 def test_a_create_2_is_spoken_to_at_its_own_rate_and_left_off(tmp_path):
