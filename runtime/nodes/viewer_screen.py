@@ -34,6 +34,8 @@ _BUMPS = {"free": (90, 100, 110), "bumped": (214, 40, 40), "wheel drop": (245, 1
 # Heights over the grid; closer together they flicker.
 _Z_RAYS, _Z_PARTICLES, _Z_PATH, _Z_HITS, _Z_ELLIPSE, _Z_LASER = 0.05, 0.08, 0.11, 0.14, 0.17, 0.20
 _PLOT_S = 120
+_AGE_MS = 400.0
+"""Height of the plot of ages: fixed, for one late pose would make the rest flat."""
 _LEGEND = (
     "From above: red way, blue points of the match, pale other rays, purple particles, "
     "green 95 %, orange unseen direction"
@@ -190,11 +192,17 @@ class Screen:
         )
         legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
         plots = [
-            rrb.TimeSeriesView(origin=origin, name=name, plot_legend=legend, time_ranges=[last])
-            for origin, name in (
-                ("/latency", "Age, ms"),
-                ("/rate", "Rate, Hz"),
-                ("/base", "Battery, %"),
+            rrb.TimeSeriesView(
+                origin=origin,
+                name=name,
+                plot_legend=legend,
+                time_ranges=[last],
+                axis_y=rrb.ScalarAxis(range=reach) if reach else None,
+            )
+            for origin, name, reach in (
+                ("/latency", "Age, ms", (0.0, _AGE_MS)),
+                ("/rate", "Rate, Hz", None),
+                ("/base", "Battery, %", (0.0, 100.0)),
             )
         ]
         columns = rrb.TextLogColumns(
@@ -207,7 +215,7 @@ class Screen:
             rrb.StateTimelineView(origin="/state", contents=lanes, name="States"),
             rrb.Tabs(*plots),
             rrb.TextLogView(origin="/log", name="What happened", columns=columns),
-            row_shares=[8, 4, 5, 8],
+            row_shares=[8, 4.5, 5, 7.5],
         )
         grey = [BACKGROUND] * 3
         view = rrb.Spatial3DView(
