@@ -46,7 +46,8 @@ def look(folder: Path, size: str) -> Image.Image:
     recording = next((folder / "run").rglob("recording*.mcap"))
     view = hallway("view", str(recording), "--web", "--port", str(PORT), "--web-port", str(PAGE_PORT))
     try:
-        address = view.stdout.readline().split()[2].rstrip(";")
+        view.stdout.readline()
+        address = view.stdout.readline().strip()
         with browser.Browser(address, folder / "profile", size) as page:
             return settled(page)
     finally:

@@ -3,14 +3,11 @@
 What a parameter means, its default and its limits are read where they are written: in the dataclasses.
 """
 
-import ast
 import dataclasses
 import inspect
-import re
 import sys
-import textwrap
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 DOCS = Path(__file__).parent
 
@@ -22,7 +19,8 @@ Nobody has to set anything to get a map. This page lists everything that can be 
 
 A graph is a YAML file: the robot's name, a seed, and its processes. Whatever is not in the file keeps its
 default; an unknown key is an error that names the nearest known one. `hallway config dump` prints a graph
-with every default filled in, `hallway config check FILE` says whether it may start.
+with every default filled in, and beside each value its unit, its limits, and whether it is the file's or the
+default; `hallway config check FILE` says whether it may start.
 
 Those that people need, if any:
 
@@ -59,19 +57,19 @@ def configuration() -> str:
     from runtime.graph import Graph, NodeSpec
     from runtime.nodes.offline_config import OfflineConfig
 
-    parts = [_CONFIG_HEAD, "## The graph\n", _table(_rows(Graph, ""))]
-    parts += ["## One process of a graph\n", _table(_rows(NodeSpec, ""))]
+    parts = [_CONFIG_HEAD, "## The graph\n", _table(_rows(Graph))]
+    parts += ["## One process of a graph\n", _table(_rows(NodeSpec))]
     seen: set[str] = set()
-    for name in ("demo", "onboard"):
+    for name in graph.ours():
         file = graph.find(name)
         for resolved in graph.resolve_all(graph.load(file), name).values():
             if (module := resolved.module.__name__.rpartition(".")[2]) in seen:
                 continue
             seen.add(module)
             first = (inspect.getdoc(resolved.module) or "").splitlines()[0]
-            table = _table(_rows(type(resolved.config), "")) or "Nothing to set.\n"
+            table = _table(_rows(type(resolved.config))) or "Nothing to set.\n"
             parts += [f"## `{module}`\n", f"{first}\n", table]
-    rows = [row for row in _rows(OfflineConfig, "") if not row.startswith("| `slam.")]
+    rows = [row for row in _rows(OfflineConfig) if not row.startswith("| `slam.")]
     parts += [_OFFLINE, _table(rows)]
     return "\n".join(parts)
 
@@ -90,71 +88,28 @@ def topics() -> str:
 
 
 def _table(rows: list[str]) -> str:
-    head = "| parameter | default | limits | meaning |\n|---|---|---|---|\n"
+    head = "| parameter | default | unit | limits | meaning |\n|---|---|---|---|---|\n"
     return head + "\n".join(rows) + "\n" if rows else ""
 
 
-def _rows(cls: type, prefix: str) -> list[str]:
-    words, rules, hints = _words(cls), _rules(cls), get_type_hints(cls)
+def _rows(cls: type) -> list[str]:
+    from runtime.parameters import parameters
+
     rows = []
-    for field in dataclasses.fields(cls):
-        inner = hints[field.name]
-        if dataclasses.is_dataclass(inner):
-            rows += _rows(inner, f"{prefix}{field.name}.")
-            continue
-        limit = (
-            rules.get(field.name, _choices(inner)).removeprefix("not be ").replace("negative", "0 or more")
-        )
-        meaning = words.get(field.name, "")
-        cells = (f"`{prefix}{field.name}`", f"`{_default(field)}`", limit, meaning)
+    for one in parameters(cls):
+        cells = (f"`{one.name}`", f"`{_default(one.default)}`", one.unit, one.limits, one.meaning)
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return rows
 
 
-def _default(field: "dataclasses.Field[Any]") -> str:
-    if field.default is not dataclasses.MISSING:
-        value = field.default
-    elif field.default_factory is not dataclasses.MISSING:
-        value = field.default_factory()
-    else:
+def _default(value: Any) -> str:
+    if value is dataclasses.MISSING:
         return "required"
     if isinstance(value, float) and value >= 1e5:
         return f"{value:g}"
     if isinstance(value, Path):
         return str(value)
     return repr(getattr(value, "value", value))
-
-
-def _choices(hint: Any) -> str:
-    from typing import Literal, get_args, get_origin
-
-    return ", ".join(map(str, get_args(hint))) if get_origin(hint) is Literal else ""
-
-
-def _words(cls: type) -> dict[str, str]:
-    """Return the text that stands under each field."""
-    body = ast.parse(textwrap.dedent(inspect.getsource(cls))).body[0].body
-    words = {}
-    for this, following in zip(body, [*body[1:], None], strict=True):
-        if isinstance(this, ast.AnnAssign) and isinstance(this.target, ast.Name):
-            text = following.value if isinstance(following, ast.Expr) else None
-            if isinstance(text, ast.Constant) and isinstance(text.value, str):
-                words[this.target.id] = " ".join(text.value.split())
-    return words
-
-
-def _rules(cls: type) -> dict[str, str]:
-    """Return what each field must be, from the errors that say so."""
-    check = getattr(cls, "__post_init__", None)
-    if check is None:
-        return {}
-    source = inspect.getsource(check)
-    rules = dict(re.findall(r'"(\w+) = [^"]*?, must (?:be )?([^"{}]*)"', source))
-    # One rule for several fields: for name in ("a", "b"): ... f"{name} = ..., must be ..."
-    loops = re.findall(r'for (\w+) in \(([^)]*)\):(.*?)must (?:be )?([^"{}]*)"', source, flags=re.DOTALL)
-    for _, names, _, rule in loops:
-        rules |= {name: rule for name in re.findall(r'"(\w+)"', names) if name not in rules}
-    return rules
 
 
 PAGES = {"configuration.md": configuration}

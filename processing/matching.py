@@ -26,7 +26,9 @@ class MatchingConfig:
     window_m: float = 0.3
     """Half side of the searched box around the prior."""
     window_rad: float = 0.4
+    """The same in rotation."""
     polish: bool = True
+    """Whether Newton's method goes on from the best place that the search found."""
     score_weight: float = 0.4
     """Log-likelihood of one point that fits: neighbouring points err alike, and a person is many points."""
     freedom: float = 4.0

@@ -71,6 +71,7 @@ class OdometryConfig:
     key_angle_rad: float = 0.175
     """A scan this far from the last key scan becomes one."""
     deskew: bool = True
+    """Whether each point is put where the laser was when it saw it: the sweep of a moving laser is bent."""
     resampling: ResamplingConfig = field(default_factory=ResamplingConfig)
     ndt: NdtConfig = field(default_factory=NdtConfig)
     matching: MatchingConfig = field(default_factory=MatchingConfig)

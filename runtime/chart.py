@@ -2,6 +2,7 @@
 
 import html
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -27,12 +28,46 @@ def lines(
 
     Of many values in one place the least and the greatest are drawn, so that no peak is lost.
     """
-    values = {name: np.asarray(value, dtype=np.float64) for name, value in series.items()}
-    finite = np.concatenate([value[np.isfinite(value)] for value in values.values()])
+    values, finite = _numbers(series)
     bottom = low if low is not None else (float(finite.min()) if finite.size else 0.0)
     top = high if high is not None else (float(finite.max()) if finite.size else 1.0)
     top = top if top > bottom else bottom + 1.0
-    body = [_frame(title, x, bottom, top, unit)]
+    return _drawn(x, values, title, {bottom: f"{bottom:.3g}", top: f"{top:.3g}"}, unit)
+
+
+def decades(x: NDArray[np.float64], series: Mapping[str, ArrayLike], title: str, *, unit: str = "s") -> str:
+    """Draw one or more positive values over rising x (N,) on a logarithmic scale; see `lines`.
+
+    The scale begins four decades below its end at most: what is less is drawn at its foot.
+    """
+    values, finite = _numbers(series)
+    positive = finite[finite > 0.0]
+    top = math.ceil(np.log10(positive.max())) if positive.size else 1
+    bottom = max(math.floor(np.log10(positive.min())), top - 4) if positive.size else 0
+    bottom = min(bottom, top - 1)
+    exponents = {name: np.log10(np.maximum(value, 10.0**bottom)) for name, value in values.items()}
+    marks = {float(power): f"{10.0**power:g}" for power in range(bottom, top + 1)}
+    return _drawn(x, exponents, title, marks, unit)
+
+
+def _numbers(
+    series: Mapping[str, ArrayLike],
+) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.float64]]:
+    """Return the series as arrays, and all of their finite values together."""
+    values = {name: np.asarray(value, dtype=np.float64) for name, value in series.items()}
+    return values, np.concatenate([value[np.isfinite(value)] for value in values.values()])
+
+
+def _drawn(
+    x: NDArray[np.float64],
+    values: Mapping[str, NDArray[np.float64]],
+    title: str,
+    marks: Mapping[float, str],
+    unit: str,
+) -> str:
+    """Draw lines in a frame from the least to the greatest of `marks`, values with their texts."""
+    bottom, top = min(marks), max(marks)
+    body = [_frame(title, x, marks, unit)]
     for (name, value), ink in zip(values.items(), _INKS, strict=False):
         for stretch in _stretches(x, value):
             path = " ".join(f"{_x(a, x):.1f},{_y(b, bottom, top):.1f}" for a, b in stretch)
@@ -43,7 +78,7 @@ def lines(
     return _svg(HEIGHT, body)
 
 
-def strip(x: NDArray[np.float64], states: Sequence[str], colours: Mapping[str, str]) -> str:
+def strip(x: NDArray[np.float64], states: ArrayLike, colours: Mapping[str, str]) -> str:
     """Draw which state held when, as a coloured bar."""
     words = np.asarray(states)
     edges = np.flatnonzero(words[1:] != words[:-1]) + 1
@@ -140,15 +175,25 @@ def _y(value: float, bottom: float, top: float) -> float:
     return HEIGHT - _BOTTOM - (HEIGHT - _TOP - _BOTTOM) * share
 
 
-def _frame(title: str, x: NDArray[np.float64], bottom: float, top: float, unit: str) -> str:
+def _frame(title: str, x: NDArray[np.float64], marks: Mapping[float, str], unit: str) -> str:
     floor, ceiling = HEIGHT - _BOTTOM, _TOP
+    bottom, top = min(marks), max(marks)
     text = 'font-size="12" fill="#5a6470"'
     first, last = (float(x[0]), float(x[-1])) if len(x) else (0.0, 0.0)
+    heights = {mark: _y(mark, bottom, top) for mark in marks}
+    across = "".join(
+        f"M{_LEFT} {heights[mark]:.0f}H{WIDTH - _RIGHT}" for mark in marks if bottom < mark < top
+    )
+    words = "".join(
+        f'<text x="{_LEFT - 6}" y="{heights[mark] + (8 if mark == top else 0 if mark == bottom else 4):.0f}" '
+        f'text-anchor="end" {text}>{word}</text>'
+        for mark, word in marks.items()
+    )
     return (
         f'<text x="{_LEFT}" y="16" font-size="13">{html.escape(title)}</text>'
-        f'<path d="M{_LEFT} {ceiling}V{floor}H{WIDTH - _RIGHT}" fill="none" stroke="#c4cad0"/>'
-        f'<text x="{_LEFT - 6}" y="{ceiling + 8}" text-anchor="end" {text}>{top:.3g}</text>'
-        f'<text x="{_LEFT - 6}" y="{floor}" text-anchor="end" {text}>{bottom:.3g}</text>'
+        + (f'<path d="{across}" fill="none" stroke="#eceef0"/>' if across else "")
+        + f'<path d="M{_LEFT} {ceiling}V{floor}H{WIDTH - _RIGHT}" fill="none" stroke="#c4cad0"/>'
+        f"{words}"
         f'<text x="{_LEFT}" y="{HEIGHT - 6}" {text}>{first:.0f} {unit}</text>'
         f'<text x="{WIDTH - _RIGHT}" y="{HEIGHT - 6}" text-anchor="end" {text}>{last:.0f} {unit}</text>'
     )

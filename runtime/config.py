@@ -6,6 +6,8 @@ Every error is a `ConfigError` that names place, rule and value; an unknown key 
 import dataclasses
 import difflib
 import enum
+import math
+import textwrap
 import types
 import typing
 from collections.abc import Mapping
@@ -19,14 +21,24 @@ from runtime.errors import ConfigError
 T = TypeVar("T")
 
 
-def refuse_unknown(keys: typing.Iterable[Any], known: typing.Collection[str], where: str) -> None:
-    """Raise ConfigError, with a guess, for the first key that is not among the known ones."""
+def refuse_unknown(
+    keys: typing.Iterable[Any], known: typing.Collection[str], where: str, *, what: str = "key"
+) -> None:
+    """Raise ConfigError, with a guess, for the first key that is not among the known ones.
+
+    Args:
+        keys: What was written.
+        known: What may be.
+        where: Its place.
+        what: The word for one of them.
+    """
     for key in keys:
         if key not in known:
             near = difflib.get_close_matches(str(key), known, n=1)
             known_text = ", ".join(sorted(known)) or "none"
             hint = f"; did you mean {near[0]!r}?" if near else f"; known: {known_text}"
-            raise ConfigError(f"{where}.{key}: unknown key{hint}")
+            place = f"{where}.{key}" if what == "key" else f"{where} {key}"
+            raise ConfigError(f"{place}: unknown {what}{hint}")
 
 
 def build(cls: type[T], data: Mapping[str, Any] | None, where: str = "config") -> T:
@@ -34,8 +46,12 @@ def build(cls: type[T], data: Mapping[str, Any] | None, where: str = "config") -
     if not isinstance(data := {} if data is None else data, Mapping):
         raise ConfigError(f"{where}: must be a mapping of {cls.__name__}, got {data!r}")
     hints = typing.get_type_hints(cls)
-    names = [f.name for f in dataclasses.fields(cls) if f.init]  # type: ignore[arg-type]
-    refuse_unknown(data, names, where)
+    fields = [f for f in dataclasses.fields(cls) if f.init]  # type: ignore[arg-type]
+    refuse_unknown(data, [f.name for f in fields], where)
+    for field in fields:
+        required = field.default is field.default_factory is dataclasses.MISSING
+        if required and field.name not in data:
+            raise ConfigError(f"{where}: {field.name} is missing")
     values = {name: _value(hints[name], value, f"{where}.{name}") for name, value in data.items()}
     try:
         return cls(**values)
@@ -132,6 +148,32 @@ def load(cls: type[T], path: Path, section: str | None = None) -> T:
     if not isinstance(data, Mapping) or section not in data:
         raise ConfigError(f"{path}: section {section!r} is missing")
     return build(cls, data[section], f"{path}: {section}")
+
+
+def annotated_yaml(value: Mapping[str, Any], notes: Mapping[str, str], inside: str = "") -> str:
+    """Write nested mappings as YAML, one line for each value, with a comment behind it.
+
+    Args:
+        value: As `plain` returns it.
+        notes: The comments, by the keys from the outermost mapping inwards, joined with dots.
+        inside: Place of `value` itself.
+    """
+    lines = []
+    for key, item in value.items():
+        place = f"{inside}.{key}" if inside else key
+        if isinstance(item, Mapping) and item:
+            block = annotated_yaml(item, notes, place)
+            lines.append(f"{key}:\n{textwrap.indent(block, '  ')}")
+        else:
+            line = f"{in_yaml(key)}: {in_yaml(item)}"
+            lines.append(f"{line}  # {notes[place]}\n" if notes.get(place) else f"{line}\n")
+    return "".join(lines)
+
+
+def in_yaml(item: Any) -> str:
+    """Write one plain value as it stands behind a key, in one line."""
+    flow = yaml.safe_dump([item], default_flow_style=True, width=math.inf, allow_unicode=True)
+    return str(flow).strip()[1:-1]
 
 
 def to_yaml(value: Any) -> str:

@@ -31,6 +31,7 @@ class NodeSpec:
     module: str
     """`matcher` for `runtime.nodes.matcher`, or the dotted name of any module like it."""
     config: dict[str, Any] = field(default_factory=dict)
+    """Of the module: the tables below."""
     after: tuple[str, ...] = ()
     """Nodes that must be ready before this one starts."""
     restart: Literal["never", "on-failure", "always"] = "on-failure"
@@ -68,6 +69,7 @@ class Graph:
     """The processes of one robot."""
 
     nodes: dict[str, NodeSpec]
+    """The processes by name; each has the keys of the next table."""
     robot: str = "robot"
     domain: int = 0
     """ROS domain, 0 .. 232."""
@@ -132,16 +134,19 @@ def launch_dir() -> Path:
     return here / "_launch" if (here / "_launch").is_dir() else here.parent / "launch"
 
 
+def ours() -> list[str]:
+    """Return the names of the graphs that we bring."""
+    return sorted(path.stem for path in launch_dir().glob("*.yaml"))
+
+
 def find(name: str) -> Path:
     """Return the file of a graph given by path or by the name of one that we bring; raises ConfigError."""
     path = Path(name)
     if path.is_file():
         return path
-    ours = launch_dir() / f"{name}.yaml"
-    if path.name == name and not path.suffix and ours.is_file():
-        return ours
-    known = ", ".join(sorted(p.stem for p in launch_dir().glob("*.yaml"))) or "none"
-    raise ConfigError(f"graph {name!r}: no such file, and not one of ours: {known}")
+    if name in ours():
+        return launch_dir() / f"{name}.yaml"
+    raise ConfigError(f"graph {name!r}: no such file, and not one of ours: {', '.join(ours()) or 'none'}")
 
 
 def load(path: Path) -> Graph:

@@ -149,12 +149,12 @@ class BusPort:
 
     def report(self, level: Level, text: str, **values: object) -> None:
         """See Port.report."""
-        changed = level != self._state[0]
+        before, _, values_before = self._state
         self._state = (level, text, values)
-        if changed:
+        if level != before:
             self.log.log((logging.INFO, logging.WARNING, logging.ERROR)[_LEVELS[level]], "%s", text)
-            if self._bus is not None:
-                self.beat()
+        if (level != before or _state_in(values) != _state_in(values_before)) and self._bus is not None:
+            self.beat()
 
     def ready(self) -> None:
         """See Port.ready."""
@@ -263,6 +263,11 @@ class BusPort:
     def _heartbeat(self) -> None:
         while not self._closing.wait(HEARTBEAT_S):
             self.beat()
+
+
+def _state_in(values: dict[str, object]) -> str:
+    """Return the word for the state that a node is in; what follows it, such as an angle, always changes."""
+    return str(values.get("state", "")).partition(" ")[0]
 
 
 class Usage:

@@ -106,7 +106,7 @@ class Port(Protocol):
         """Answer questions on `hallway/<robot>/<name>`, from another thread; bulk, that nothing waits for."""
 
     def report(self, level: Level, text: str, **values: object) -> None:
-        """Say how the node is; published at 1 Hz, and at once when the level changes."""
+        """Say how the node is; published at 1 Hz, and at once when the level or its `state` changes."""
 
     def ready(self) -> None:
         """Say that the node is warm and takes its first message in time."""

@@ -15,9 +15,14 @@ from numpy.typing import NDArray
 
 from runtime import chart
 from runtime.picture import png, render
+from runtime.report_tables import facts_table, latency_table
 
 STATES = ("TRACKING", "DEGENERATE", "LOST")
-_COLOURS = {"TRACKING": "#16875480", "DEGENERATE": "#f58c00", "LOST": "#d62828"}
+DOUBTED = "doubted"
+"""What tracks on, while scans contradict the map or did so a moment ago."""
+DOUBTED_M = 0.05
+"""Where each direction is known no better than this, the matcher doubts (`processing.odometry.SHAKEN`)."""
+_COLOURS = {"TRACKING": "#16875480", DOUBTED: "#7048b8", "DEGENERATE": "#f58c00", "LOST": "#d62828"}
 _LATE_STRETCHES = 12
 TREE_KEYS = 300
 """So many key scans of the family tree are drawn at most, the newest ones."""
@@ -30,8 +35,13 @@ p, li { max-width: 46rem } .quiet { color: #5a6470 }
 img, svg { max-width: 100%; height: auto; display: block }
 img { border: 1px solid #d8dce0 } pre { background: #f4f5f7; padding: .8rem; overflow-x: auto;
       font-size: 13px }
-table { border-collapse: collapse } td, th { padding: .15rem .9rem .15rem 0; text-align: left }
-td + td, th + th { text-align: right; font-variant-numeric: tabular-nums }
+table { border-collapse: collapse }
+td, th { padding: .15rem .9rem .15rem 0; text-align: left; vertical-align: top }
+.facts td + td { overflow-wrap: anywhere }
+.numbers td:nth-child(n+2):nth-child(-n+4), .numbers th:nth-child(n+2) { text-align: right;
+      font-variant-numeric: tabular-nums }
+@media (max-width: 40rem) { .wide { overflow-x: auto }
+      .wide svg[width="960"] { max-width: none; width: 40rem } }
 """
 
 
@@ -45,6 +55,8 @@ class ReportData:
     """(rows, cols) of the map, as `picture.render` takes it."""
     resolution_m: float
     origin_m: tuple[float, float]
+    known_m2: float | None = None
+    """Area that was seen, where it was counted; else it is counted in `probability`."""
     stamps_ns: NDArray[np.int64]
     """(N,) in the order of the scans."""
     map_t_laser: NDArray[np.float64]
@@ -56,7 +68,8 @@ class ReportData:
     points: NDArray[np.int64] | None = None
     """(N,) points that the match used."""
     sigma_m: NDArray[np.float64] | None = None
-    """(N, 2) least and greatest standard deviation of the motion since the last scan, m; NaN while lost."""
+    """(N, 2) least and greatest standard deviation of the motion since the last scan, m; NaN where it says
+    nothing: lost, doubted, or beginning anew."""
     n_eff: NDArray[np.float64] | None = None
     """(N,) particles that share the weight."""
     resampled: NDArray[np.bool_] | None = None
@@ -101,12 +114,14 @@ def page(run: ReportData) -> str:
     parts += [_map(run)]
     if len(run.stamps_ns) > 1:
         parts += [_match(run, elapsed_s), _particles(run, elapsed_s)]
-    parts += [_latency(run), _table("Counted", run.counts), _table("The run", run.facts)]
+    parts += [latency_table(run.latency_ms)]
+    parts += [facts_table("Counted", run.counts), facts_table("The run", run.facts)]
     if run.config:
         parts.append(f"<h2>Configuration</h2><pre>{html.escape(run.config)}</pre>")
     body = "\n".join(part for part in parts if part)
     return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{title}</title>'
         f"<style>{_STYLE}</style></head><body>\n{body}\n</body></html>\n"
     )
 
@@ -123,12 +138,14 @@ def _summary(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
         return "No scan."
     steps = np.diff(run.map_t_laser[:, :2], axis=0)
     way_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
-    known_m2 = float(np.count_nonzero(~np.isnan(run.probability)) * run.resolution_m**2)
-    states = run.states or ()
+    known_m2 = run.known_m2
+    if known_m2 is None:
+        known_m2 = float(np.count_nonzero(~np.isnan(run.probability)) * run.resolution_m**2)
+    words = judged(run)
     shares = [
-        f"{100.0 * share:.1f} % {state}"
-        for state in STATES
-        if states and (share := sum(s == state for s in states) / len(states)) > 0
+        f"{100.0 * share:.1f} % {word}"
+        for word in _COLOURS
+        if len(words) and (share := np.count_nonzero(words == word) / len(words)) > 0
     ]
     return (
         f"{len(elapsed_s)} scans in {elapsed_s[-1]:.0f} s, {way_m:.1f} m driven, "
@@ -146,11 +163,13 @@ def _map(run: ReportData) -> str:
 def _match(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
     parts = []
     if run.states is not None:
+        words = judged(run)
         parts += [
-            "<p>Green: the scan fits in every direction. Orange: one direction is not seen, as in a long "
-            "corridor. Red: the scan fits nowhere.</p>",
-            chart.strip(elapsed_s, run.states, _COLOURS),
-            _stretches(run.map_t_laser, run.states, elapsed_s),
+            "<p>Green: the scan fits in every direction. Purple, doubted: a scan contradicts the map, or did "
+            f"so a moment ago, as when somebody walks past; each motion may be {1e2 * DOUBTED_M:.0f} cm off. "
+            "Orange: one direction is not seen, as in a long corridor. Red: the scan fits nowhere.</p>",
+            chart.strip(elapsed_s, words, _COLOURS),
+            _stretches(run.map_t_laser, words, elapsed_s),
         ]
     if run.score is not None:
         parts.append(
@@ -158,15 +177,31 @@ def _match(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
         )
     if run.sigma_m is not None:
         millimetres = {"worst direction": 1e3 * run.sigma_m[:, 1], "best direction": 1e3 * run.sigma_m[:, 0]}
-        parts.append(chart.lines(elapsed_s, millimetres, "how well each motion is known, mm", low=0.0))
+        title = "how well each motion is known: one standard deviation, mm, on a logarithmic scale"
+        parts.append(chart.decades(elapsed_s, millimetres, title))
     if run.points is not None:
         parts.append(chart.lines(elapsed_s, {"points": run.points}, "points used by the match", low=0.0))
-    return "\n".join(["<h2>The match along the way</h2>", *parts]) if parts else ""
+    return _section("The match along the way", parts)
 
 
-def _stretches(map_t_laser: NDArray[np.float64], words: Sequence[str], elapsed_s: NDArray[np.float64]) -> str:
+def judged(run: ReportData) -> NDArray[np.str_]:
+    """Return each scan's state, (N,), or DOUBTED where the track went on in doubt; (0,) if nobody noted them.
+
+    A scan that tells nothing although it tracks is a doubted one, unless the track begins with it.
+    """
+    states = np.array(run.states if run.states is not None else (), dtype="<U10")
+    if run.sigma_m is None or not len(states):
+        return states
+    best_m = run.sigma_m[:, 0]
+    begins = np.r_[True, states[:-1] == "LOST"]
+    unsure = (best_m >= DOUBTED_M) | (np.isnan(best_m) & ~begins)
+    return np.where(unsure & (states == "TRACKING"), DOUBTED, states)
+
+
+def _stretches(
+    map_t_laser: NDArray[np.float64], states: NDArray[np.str_], elapsed_s: NDArray[np.float64]
+) -> str:
     """List where the match did not hold, the longest first."""
-    states = np.array(words)
     edges = np.flatnonzero(states[1:] != states[:-1]) + 1
     begins, ends = np.r_[0, edges], np.r_[edges, len(states)] - 1
     bad = [(b, e) for b, e in zip(begins, ends, strict=True) if states[b] != STATES[0]]
@@ -201,28 +236,12 @@ def _particles(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
         parts.append(chart.tree(run.ancestors[:, max(since, len(many) - TREE_KEYS) :], title))
     if run.particles is not None and len(run.particles):
         parts.append(chart.cloud(run.particles, "the last particles, m"))
-    return "\n".join(["<h2>Particles</h2>", *parts]) if parts else ""
+    return _section("Particles", parts)
 
 
-def _latency(run: ReportData) -> str:
-    if not run.latency_ms:
-        return ""
-    rows = "".join(
-        f"<tr><td>{html.escape(hop)}</td>"
-        + "".join(f"<td>{values.get(q, float('nan')):.1f}</td>" for q in ("p50", "p99", "max"))
-        + "</tr>"
-        for hop, values in run.latency_ms.items()
-    )
-    head = "<tr><th></th><th>p50</th><th>p99</th><th>max</th></tr>"
-    return f"<h2>Latency, ms</h2><table>{head}{rows}</table>"
-
-
-def _table(title: str, values: Mapping[str, Any]) -> str:
-    rows = "".join(
-        f"<tr><td>{html.escape(name)}</td><td>{html.escape(str(value))}</td></tr>"
-        for name, value in values.items()
-    )
-    return f"<h2>{title}</h2><table>{rows}</table>" if rows else ""
+def _section(title: str, parts: Sequence[str]) -> str:
+    """Return charts under a heading; where the page is narrow they move sideways together."""
+    return "\n".join([f'<h2>{title}</h2><div class="wide">', *parts, "</div>"]) if parts else ""
 
 
 def _list(lines: Sequence[str]) -> str:

@@ -20,6 +20,7 @@ def report_on(folder: Path, title: str) -> bool:
         return False
     grid, trajectory = read_map(folder / "map.yaml"), read_tum(folder / "trajectory.tum")
     metrics, run = _json(folder / "metrics.json"), _json(folder / "run.json")
+    metrics.pop("way_m", None)  # in the first line, as the picture shows it
     latency = metrics.pop("latency", {})
     config = folder / "config.yaml"
     data = ReportData(
@@ -27,6 +28,7 @@ def report_on(folder: Path, title: str) -> bool:
         probability=grid.probability,
         resolution_m=grid.resolution_m,
         origin_m=grid.origin_m,
+        known_m2=metrics.pop("known_m2", None),
         stamps_ns=trajectory.stamps_ns,
         map_t_laser=trajectory.poses,
         **_match(folder, trajectory.stamps_ns),

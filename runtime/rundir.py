@@ -66,12 +66,18 @@ def running(robot: str) -> Path:
     """Return the directory of a robot that runs.
 
     Raises:
-        NotRunningError: It does not; the text names those that do.
+        NotRunningError: It does not; the text names those that do, or how to come to one.
     """
     path = run_dir(robot)
     if not is_running(robot):
         others = sorted(p.parent.name for p in base_dir().glob("*/hub.sock")) if base_dir().is_dir() else []
-        raise NotRunningError(f"robot {robot!r} does not run here; running: {', '.join(others) or 'none'}")
+        way_out = (
+            f"running: {', '.join(others)}; say which with --robot"
+            if others
+            else "nor does any other; start one with `hallway up demo`, "
+            "or pair with one elsewhere with `hallway keys pair FILE`"
+        )
+        raise NotRunningError(f"robot {robot!r} does not run here, {way_out}")
     return path
 
 

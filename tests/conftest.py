@@ -4,6 +4,7 @@ import os
 
 import pytest
 
+from runtime.cli import patience
 from runtime.cli.compiling import compile_all
 
 ROBOTS = {
@@ -38,7 +39,11 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the inner loops once, before two workers would both do it."""
+    """Compile the inner loops once, before two workers would both do it.
+
+    Where tests share a machine everything may take long: that is no news here.
+    """
+    patience.LONG_S = 600.0
     if not hasattr(config, "workerinput") and getattr(config.option, "numprocesses", None):
         compile_all(os.environ, print)
 

@@ -13,25 +13,39 @@ class SafetyConfig:
     """Limits and times; speeds of the robot in m/s and rad/s."""
 
     max_forward_mps: float = 0.30
+    """Fastest way ahead; faster wishes keep their curve, slower."""
     max_backward_mps: float = 0.15
+    """Fastest way back: there is no bumper behind."""
     max_turn_rate_radps: float = 1.5
+    """Fastest turn."""
     acceleration_mps2: float = 0.5
+    """How soon it gets faster; slowing down takes no time."""
     turn_acceleration_radps2: float = 3.0
+    """The same of the turn rate."""
     dead_band_mps: float = 0.04
     """Slower motion is none: the wheels do not follow evenly."""
     dead_band_radps: float = 0.05
+    """The same of turns."""
     input_timeout_s: float = 0.25
     """Age from which an operator's input is worth nothing."""
     telemetry_timeout_s: float = 0.25
+    """Age from which the robot's word is too old to drive by."""
     step_timeout_s: float = 0.2
     """A longer pause between two steps means that nobody was watching."""
     arming_timeout_s: float = 0.3
+    """Time in which the robot must take the mode that drives, or arming has failed."""
     backing_off_mps: float = 0.1
+    """Fastest way back from a bump."""
     backing_off_s: float = 1.0
+    """For how long it may go back while the bumper is pressed."""
     battery_warn_v: float = 13.5
+    """Voltage under which it warns."""
     battery_stop_v: float = 12.5
+    """Voltage under which it stops, if that lasts."""
     battery_stop_s: float = 5.0
+    """So long it must last: motors that start pull the voltage down."""
     battery_warn_share: float = 0.15
+    """Share of the charge under which it warns."""
     mode_offset: int = 0
     """By how much this robot's firmware reports its mode too high."""
 

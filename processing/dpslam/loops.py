@@ -39,11 +39,13 @@ class LoopConfig:
     drift: float = 0.01
     """Least drift of any scan matcher, a share of the way."""
     drift_rad_per_m: float = 0.004
+    """The same in rotation."""
     query_m: float = 4.0
     """Least length of way whose points are searched for together."""
     most_query_m: float = 12.0
     """Most of it: the farther the path may have drifted, the more must be recognised."""
     try_every_m: float = 1.0
+    """Way between two looks for a place that is known."""
     least_score: float = 0.6
     """Share of the searched points that must find their wall."""
     rival_ratio: float = 0.95
@@ -51,7 +53,9 @@ class LoopConfig:
     far_rival_ratio: float = 0.85
     """The same where the path may have drifted by more than half a metre: corridors repeat themselves."""
     most_window_m: float = 10.0
+    """Farthest from where the path is that a known place is looked for, however far it may have drifted."""
     most_window_rad: float = 0.8
+    """The same in rotation."""
 
     def __post_init__(self) -> None:
         for name in (

@@ -58,6 +58,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         sub = verbs.add_parser(verb, help=text, description=text, epilog=EXIT_CODES)
         if verb == asked:
             import_module(f"runtime.cli.{verb}").add_arguments(sub)
+    if not arguments:
+        parser.print_help(sys.stderr)
+        return 2
     args = parser.parse_args(arguments)
     try:
         return int(import_module(f"runtime.cli.{args.verb}").run(args))

@@ -4,6 +4,8 @@ Importing a module of `processing` compiles its loops if numba finds no compiled
 the processes of a robot is compiled by several of them at once, each all of it.
 """
 
+import hashlib
+import importlib
 import importlib.util
 import os
 import subprocess
@@ -12,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+from runtime.cli.patience import told
 from runtime.clock import Clock
 from runtime.supervisor import child_environment
 
@@ -78,11 +81,17 @@ def compile_all(environment: Mapping[str, str], say: Callable[[str], None]) -> N
 
 
 def compile_here(verb: str) -> None:
-    """Compile what a command needs in its own process; call it before anything imports numba."""
+    """Compile and load what a command needs in its own process; call it before anything imports numba."""
+
+    def say(line: str) -> None:
+        print(f"hallway {verb}: {line}", file=sys.stderr, flush=True)
+
     environment = child_environment(Clock())
     if "NUMBA_CACHE_DIR" in environment:
         os.environ["NUMBA_CACHE_DIR"] = environment["NUMBA_CACHE_DIR"]
-    compile_all(environment, lambda line: print(f"hallway {verb}: {line}", file=sys.stderr, flush=True))
+    compile_all(environment, say)
+    with told(say, "still loading the inner loops; what was never compiled here is compiled now ..."):
+        importlib.import_module("processing.slam")
 
 
 def share(chains: list[tuple[float, tuple[str, ...]]], workers: int) -> list[list[str]]:
@@ -106,8 +115,12 @@ def _compiled(module: str, environment: Mapping[str, str]) -> bool:
 
 
 def _indices(source: Path, environment: Mapping[str, str]) -> Iterator[Path]:
-    """Yield numba's index files of a module: beside it, or where they are if that is not writable."""
-    pattern = f"{source.stem}.*.nbi"
-    yield from source.parent.glob(f"__pycache__/{pattern}")
+    """Yield numba's index files of a module from where numba will look for them, and from nowhere else."""
+    pattern = f"{source.stem}.*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
     if root := environment.get("NUMBA_CACHE_DIR"):
-        yield from Path(root).glob(f"*/{pattern}")
+        # As numba names the folder of a module there. Our processes import us by the resolved path.
+        for folder in {source.parent.absolute(), source.parent.resolve()}:
+            name = f"{folder.name}_{hashlib.sha1(str(folder).encode(), usedforsecurity=False).hexdigest()}"
+            yield from Path(root, name).glob(pattern)
+    else:
+        yield from source.parent.glob(f"__pycache__/{pattern}")

@@ -30,7 +30,7 @@ class Verb:
     name: str
     help: str
     words: tuple[str, ...]
-    """Options and fixed choices, in the order in which the help shows them."""
+    """Options, fixed choices and names of graphs, in the order in which the help shows them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,6 +62,8 @@ def verbs() -> list[Verb]:
 
 def _words(parser: argparse.ArgumentParser) -> list[str]:
     """Return options and choices of a parser and of those under it."""
+    from runtime import graph
+
     words: list[str] = []
     for action in parser._actions:
         words += [option for option in action.option_strings if option.startswith("--")]
@@ -70,6 +72,8 @@ def _words(parser: argparse.ArgumentParser) -> list[str]:
                 words += [name, *_words(child)]
         elif action.choices is not None and not action.option_strings:
             words += [str(choice) for choice in action.choices]
+        elif action.dest == "graph":
+            words += graph.ours()
     return words
 
 

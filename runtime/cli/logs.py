@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     files = {path.stem: path for path in sorted(folder.glob("*.log"))}
     if not files:
         raise ConfigError(f"{folder}: holds no logs")
-    refuse_unknown(args.node, list(files), "node")
+    refuse_unknown(args.node, list(files), str(folder), what="process")
     chosen = {name: files[name] for name in args.node or files}
     lines: list[str] = []
     ends: dict[str, int] = {}

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.patience import told
 from runtime.cli.progress import Progress
 from runtime.cli.whereabouts import Whereabouts
 from runtime.errors import ConfigError, DataLostError, PositionLostError
@@ -75,7 +76,8 @@ def run(args: argparse.Namespace) -> int:
         interrupted = progress.done < len(log)
         if progress.done == 0:
             return 130
-        report = {"seed": seed, **_save(offline, log, out, args, interrupted)}
+        with told(progress.say, "saving the map, the way and the report ..."):
+            report = {"seed": seed, **_save(offline, log, out, args, interrupted)}
     report |= where.report() if where else {}
     report |= {"seconds": round(progress.elapsed_s, 3), "scans_per_s": round(progress.scans_per_s, 1)}
     report["times_real_time"] = round(progress.times_real_time, 2)

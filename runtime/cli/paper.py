@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     from runtime.formats.logs import open_log
 
     names = list(BUILDINGS) if args.buildings is None else args.buildings
-    refuse_unknown(names, list(BUILDINGS), "--buildings")
+    refuse_unknown(names, list(BUILDINGS), "--buildings", what="building")
     for log in args.logs:
         open_log(log)  # what is wrong with it is said before the work begins
     args.out.mkdir(parents=True, exist_ok=True)

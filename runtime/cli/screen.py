@@ -2,6 +2,7 @@
 
 import sys
 import time
+from dataclasses import replace
 from types import TracebackType
 from typing import Any
 
@@ -25,6 +26,7 @@ class Screen:
         self._quiet = quiet
         self._live: Any = None
         self._shown = 0.0
+        self._hops_ms: dict[str, dict[str, float]] = {}
 
     def __enter__(self) -> "Screen":
         if not self._quiet and sys.stdout.isatty():
@@ -51,11 +53,13 @@ class Screen:
             print(line, flush=True)
 
     def show(self, status: Status, elapsed_s: float) -> None:
-        """Show the present status, if it is time to."""
+        """Show the present status, if it is time to; the hops stay when whoever measured them has left."""
         every_s = _PAINT_EVERY_S if self._live is not None else _PLAIN_EVERY_S
         if self._quiet or time.monotonic() - self._shown < every_s:
             return
         self._shown = time.monotonic()
+        self._hops_ms = status.hops_ms or self._hops_ms
+        status = replace(status, hops_ms=self._hops_ms)
         if self._live is not None:
             self._live.update(table(status, elapsed_s), refresh=True)
         else:

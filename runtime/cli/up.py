@@ -13,8 +13,10 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from runtime.child import Child
     from runtime.graph import Graph
     from runtime.run import Run
+    from runtime.supervisor import Event
 
 _TURN_S = 0.05
 _NOTIFY_S = 0.5
@@ -23,7 +25,7 @@ _TELL_S = 2.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
-    parser.add_argument("graph", help="demo, onboard, or a YAML file")
+    parser.add_argument("graph", help="demo, handheld, onboard, or a YAML file")
     parser.add_argument("--headless", action="store_true", help="leave out what needs a screen")
     parser.add_argument(
         "--duration", type=float, metavar="S", help="end by itself after S seconds of running"
@@ -118,7 +120,7 @@ def _run(args: argparse.Namespace, file: Path) -> int:
             out,
             remote=remote,
             open_bus=ZenohBus,
-            on_event=lambda event: screen.say(f"  {event.node}: {event.text}"),
+            on_event=lambda event: screen.say(f"  {event.node}: {_in_short(live, event)}"),
         )
         try:
             interrupted = _drive(live, screen, args.duration)
@@ -148,6 +150,7 @@ def _has_screen() -> bool:
 def _check(file: Path, headless: bool) -> dict[str, Any]:
     """Check every node in a process of its own: the modules are heavy, and this one stays light."""
     from runtime.cli.compiling import compile_all
+    from runtime.cli.patience import told
     from runtime.clock import Clock
     from runtime.errors import ConfigError, HallwayError
     from runtime.supervisor import child_environment
@@ -156,14 +159,19 @@ def _check(file: Path, headless: bool) -> dict[str, Any]:
     if headless:
         command.append("--headless")
     environment = child_environment(Clock())
-    compile_all(environment, lambda line: print(line, file=sys.stderr, flush=True))
-    check = subprocess.run(command, capture_output=True, text=True, env=environment)
+    compile_all(environment, _tell)
+    with told(_tell, "still loading the modules of the graph; what was never compiled is compiled now ..."):
+        check = subprocess.run(command, capture_output=True, text=True, env=environment)
     if check.returncode == 0:
         return dict(json.loads(check.stdout))
     lines = check.stderr.strip().splitlines() or [f"exit code {check.returncode}"]
     if check.returncode == ConfigError.exit_code:
         raise ConfigError(lines[-1])
     raise HallwayError(f"{file}: the check failed: {lines[-1]}")
+
+
+def _tell(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 def _empty(out: Path) -> None:
@@ -222,6 +230,24 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
     return signal.SIGINT in asked
 
 
+def _in_short(live: "Run", event: "Event") -> str:
+    """Return what happened, without the reason that ends the run: it is the last word, and said there."""
+    from runtime.child import State
+
+    child = live.supervisor.children[event.node]
+    ends_all = child.state is State.FAILED and child.spec.required
+    return "failed, and ends the run" if ends_all else event.text
+
+
+def _reason(failed: "Child | None") -> str:
+    """Return why the run failed, and what to do where no robot is at hand; empty if it did not."""
+    if failed is None or not failed.reasons:
+        return ""
+    reason = f"{failed.name}: {failed.reasons[-1]}"
+    robot_missing = failed.spec.module == "base" and failed.exit_code == 3
+    return reason + " No robot? `hallway up handheld` maps with the laser alone." * robot_missing
+
+
 def _exit_code(live: "Run", interrupted: bool) -> int:
     failed = live.supervisor.failed
     if failed is not None:
@@ -253,8 +279,7 @@ def _save(
     report_on(out, f"{live.graph.robot}, {args.graph}")
     if args.out is None:
         link_latest(out)
-    failed = live.supervisor.failed
-    reason = f"{failed.name}: {failed.reasons[-1]}" if failed is not None and failed.reasons else ""
+    reason = _reason(live.supervisor.failed)
     return {"out": str(out), "exit_code": code, "reason": reason, **live.summary(), "metrics": metrics}
 
 
@@ -272,7 +297,9 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
         late = f", {latency['late']} too late" if latency.get("late") else ""
         print(f"used {mapped} of {scans} scans{late}")
     for name, process in report["processes"].items():
-        if process["restarts"] or process["state"] == "failed":
-            print(f"{name}: {process['restarts']} restarts, last: {process['reasons'][-1]}")
+        told = report["reason"].startswith(f"{name}: ")
+        if process["restarts"] or (process["state"] == "failed" and not told):
+            last = "" if told else f", last: {process['reasons'][-1]}"
+            print(f"{name}: {process['restarts']} restarts{last}")
     written = sorted(p.name for p in Path(report["out"]).iterdir() if p.is_file())
     print(f"{report['out']}/: {', '.join(written)}")

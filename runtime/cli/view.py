@@ -195,8 +195,11 @@ def _wait(server: Any, asked: list[int]) -> int:
 
 
 def _say(where: str) -> None:
-    verb = "look at" if "://" in where else "saving to" if where.endswith(".rrd") else "showing in"
-    print(f"{verb} {where}; Ctrl-C ends", flush=True)
+    if "://" in where:
+        print(f"look at this page, Ctrl-C ends:\n{where}", flush=True)  # alone on its line, to be clicked
+    else:
+        verb = "saving to" if where.endswith(".rrd") else "showing in"
+        print(f"{verb} {where}; Ctrl-C ends", flush=True)
 
 
 @contextmanager

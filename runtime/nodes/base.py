@@ -45,6 +45,7 @@ class Config:
     baud: int | None = None
     """The model's own rate if none is given: 57600 for create1, 115200 for create2."""
     packets: tuple[int, ...] = PACKETS
+    """Numbers of the sensor packets that the robot sends every 15 ms; at 19200 baud fewer fit."""
     safety: SafetyConfig = field(default_factory=SafetyConfig)
     watchdog_s: float = 0.2
     """After so long without a sign of this process its watchdog stops the robot."""
@@ -90,6 +91,7 @@ class _Base:
         self._began_ns, self._patience_ns = port.clock.now_ns(), round(config.patience_s * 1e9)
         self._bumps: int | None = None
         self._told: tuple[State, str] | None = None
+        self._level: Level = "ok"
         self._reported_ns = self._charged_ns = 0
         self._telemetry: Telemetry | None = None
         self._telemetry_ns = 0
@@ -144,6 +146,7 @@ class _Base:
         self._telemetry = self._told = None
         if self._port.stopping or self._orphaned():
             return
+        self._level = "error"
         self._port.report("error", str(error), **self._values(self._port.clock.now_ns()))
         self._port.count("line_failures")
         if isinstance(error, SilentError):
@@ -207,8 +210,12 @@ class _Base:
             self._port.publish("battery", battery_message(telemetry, now_ns))
         told = (self._safety.state, self._safety.reason)
         if told != self._told or now_ns - self._reported_ns >= _SECOND_NS // 2:
+            state_before = self._told[0] if self._told else State.DISARMED
             self._told, self._reported_ns = told, now_ns
             level, text = self._verdict()
+            if level == self._level == "ok" and self._safety.state is not state_before:
+                self._port.log.info("%s", text)  # the frame logs changes of level only
+            self._level = level
             self._port.report(level, text, **self._values(now_ns))
 
     def _verdict(self) -> tuple[Level, str]:
@@ -217,7 +224,8 @@ class _Base:
         text = ", ".join((text, *warnings))
         if state is State.STOPPED:
             return "error", text
-        calm = state is State.ARMED or (state is State.DISARMED and reason.startswith(_FAULTLESS))
+        at_work = state in (State.ARMING, State.ARMED)
+        calm = at_work or (state is State.DISARMED and reason.startswith(_FAULTLESS))
         return ("ok" if calm and not warnings else "warn"), text
 
     def _values(self, now_ns: int) -> dict[str, object]:

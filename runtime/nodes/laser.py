@@ -41,12 +41,14 @@ class Config:
     baud: int = 0
     """Rate on RS-232; 0 = the sensor is on USB."""
     first_step: int | None = None
-    """None = all the sensor can measure; step 384 is straight ahead, steps count to the left."""
+    """First ray of each scan, 0 .. 768; None = as far to the right as the sensor can measure. Step 384 is
+    straight ahead, steps count to the left."""
     last_step: int | None = None
+    """Last ray, 0 .. 768; None = as far to the left as it can."""
     cluster: int = 1
-    """Steps that share one value."""
+    """Steps that share one value, 1 .. 99."""
     skip: int = 0
-    """Scans left out between two."""
+    """Scans left out between two, 0 .. 9."""
     wide: bool = True
     """Three characters a value; two save a third of the line and end at 4095 mm."""
     sensitive: bool = False
@@ -54,7 +56,7 @@ class Config:
     upside_down: bool = False
     """The sensor hangs with its lid down."""
     latency_ms: float = 99.0
-    """From the start of a revolution to the first byte of its scan."""
+    """From the start of a revolution to the first byte of its scan, 0 .. 1000."""
     patience_s: float = 3.0
     """How long the port may be missing at the start."""
 
@@ -122,7 +124,8 @@ class _Laser:
         self._port, self._config, self._reader = port, config, reader
         self._beams: Beams | None = None
         self._told: Counter[str] = Counter()
-        self._state: tuple[Level, str] = ("warn", "looking for the sensor")
+        self._state: tuple[Level, str] = ("ok", "looking for the sensor")
+        port.log.info("looking for the sensor")
         self._unit = ""
         self._reported_ns = 0
         self._stamps: deque[int] = deque(maxlen=50)

@@ -6,6 +6,7 @@ program that shows the picture happens to this process alone.
 
 import json
 import os
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -173,9 +174,13 @@ def _look_after(
 
 
 def _close(server: ViewerServer | None, painter: Painter, screen: Any) -> None:
-    painter.close(_CLOSE_S)
+    let_go = painter.close(_CLOSE_S)
     if server is None:
         screen.close(_CLOSE_S)
-    else:
-        # Ended first, so that nothing waits for it to take the rest in.
-        server.close()
+        return
+    if let_go:
+        # Before its program ends: a picture that is cut off complains. One that stands still never lets go.
+        leaving = threading.Thread(target=screen.close, args=(_CLOSE_S,), daemon=True)
+        leaving.start()
+        leaving.join(_CLOSE_S)
+    server.close()

@@ -21,7 +21,7 @@ from runtime.health import LEVELS, Vital, make_room
 from runtime.messages import BadMessageError
 from runtime.nodes.convert import motion_from_message, pose_from_message, scan_from_message
 from runtime.nodes.viewer_shapes import cloud_points, outline, shrunk, unseen
-from runtime.nodes.viewer_words import BUMPS, Base, words_of
+from runtime.nodes.viewer_words import BUMPS, STARTING, Base, words_of
 from runtime.port import Received
 from runtime.status import MATCHER, status_of
 
@@ -289,7 +289,7 @@ class Scene:
     def _paint_state(self) -> None:
         stamp_ns = self._now_ns
         status = status_of(self._robot, self._vitals)
-        word = status.tracking.partition(" ")[0]
+        word = status.tracking.partition(" ")[0] or STARTING
         if word != self._tracking:
             self._tracking = word
             self._at(f"tracking {self._notes}", stamp_ns, lambda c: c.state("state/tracking", word))

@@ -12,6 +12,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from runtime.nodes.viewer_words import STARTING
+
 TIMELINE = "time"
 BACKGROUND = 229
 """Grey of what is unknown, and of everything around the map."""
@@ -22,11 +24,18 @@ _RAYS = (150, 168, 190)
 _PARTICLES = (140, 60, 170)
 _ELLIPSE = (22, 135, 84)
 _BLIND = (245, 140, 0)
-_STATES = {"TRACKING": (22, 135, 84), "DEGENERATE": (245, 140, 0), "LOST": (214, 40, 40)}
+_STATES = {
+    STARTING: (120, 130, 140),
+    "TRACKING": (22, 135, 84),
+    "DEGENERATE": (245, 140, 0),
+    "LOST": (214, 40, 40),
+}
 _BUMPS = {"free": (90, 100, 110), "bumped": (214, 40, 40), "wheel drop": (245, 140, 0)}
 # Heights over the grid; closer together they flicker.
 _Z_RAYS, _Z_PARTICLES, _Z_PATH, _Z_HITS, _Z_ELLIPSE, _Z_LASER = 0.05, 0.08, 0.11, 0.14, 0.17, 0.20
 _PLOT_S = 120
+_AGE_MS = 400.0
+"""Height of the plot of ages: fixed, for one late pose would make the rest flat."""
 _LEGEND = (
     "From above: red way, blue points of the match, pale other rays, purple particles, "
     "green 95 %, orange unseen direction"
@@ -181,13 +190,19 @@ class Screen:
             start=rrb.TimeRangeBoundary.cursor_relative(seconds=-_PLOT_S),
             end=rrb.TimeRangeBoundary.cursor_relative(),
         )
-        legend = rrb.PlotLegend(visible=False)
+        legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
         plots = [
-            rrb.TimeSeriesView(origin=origin, name=name, plot_legend=legend, time_ranges=[last])
-            for origin, name in (
-                ("/latency", "Age, ms: pose red, map grey"),
-                ("/rate", "Hz: scan blue, match green, pose red"),
-                ("/base", "Battery, %"),
+            rrb.TimeSeriesView(
+                origin=origin,
+                name=name,
+                plot_legend=legend,
+                time_ranges=[last],
+                axis_y=rrb.ScalarAxis(range=reach) if reach else None,
+            )
+            for origin, name, reach in (
+                ("/latency", "Age, ms", (0.0, _AGE_MS)),
+                ("/rate", "Rate, Hz", None),
+                ("/base", "Battery, %", (0.0, 100.0)),
             )
         ]
         columns = rrb.TextLogColumns(
@@ -198,9 +213,9 @@ class Screen:
         side = rrb.Vertical(
             rrb.TextDocumentView(origin="/state/words", name="State"),
             rrb.StateTimelineView(origin="/state", contents=lanes, name="States"),
-            *plots,
+            rrb.Tabs(*plots),
             rrb.TextLogView(origin="/log", name="What happened", columns=columns),
-            row_shares=[7, 6, 3, 3, 2, 4],
+            row_shares=[8, 4.5, 5, 7.5],
         )
         grey = [BACKGROUND] * 3
         view = rrb.Spatial3DView(

@@ -101,6 +101,7 @@ def start(arguments: Sequence[str], log: Path | None = None) -> "subprocess.Pope
             stderr=output,
             env=environment,
             preexec_fn=die_with_parent,
+            process_group=0,  # Ctrl-C in the terminal reaches us alone, and we end it when we have let go
         )
 
 

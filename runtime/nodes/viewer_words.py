@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from runtime.status import Status
 
+STARTING = "STARTING"
+"""The word before the first match."""
 BUMPS = ("free", "bumped", "wheel drop")
 
 _MEANINGS = {
@@ -26,7 +28,7 @@ class Base:
 def words_of(status: Status, base: Base, matcher_text: str) -> str:
     """Return Markdown for one moment of a robot."""
     word = status.tracking.split(" ")[0]
-    lines = [f"# {status.tracking or 'STARTING'}", _MEANINGS.get(word, matcher_text)]
+    lines = [f"# {status.tracking or STARTING}", _MEANINGS.get(word, matcher_text)]
     facts = []
     whole = status.hops_ms.get("whole")
     if whole:

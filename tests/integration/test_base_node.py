@@ -1,6 +1,8 @@
 """The base node with its watchdog on an emulated robot: what it says, whom it obeys, how it leaves."""
 
 import importlib.util
+import itertools
+import logging
 import os
 import threading
 import time
@@ -42,6 +44,17 @@ def test_it_starts_passive_and_leaves_passive(tmp_path):
         last = [c for _, c in rig.emulator.commands()][-4:]
         assert [c.op for c in last] == [Op.DRIVE_DIRECT, Op.DRIVE_DIRECT, Op.PAUSE_STREAM, Op.START]
         assert last[0].data == last[1].data == bytes(4)
+
+
+def test_arming_is_logged_once_and_is_no_warning(tmp_path, caplog):
+    caplog.set_level(logging.INFO)
+    with Rig(tmp_path) as rig:
+        rig.drive()
+        rig.stop()
+    lines = [(record.levelname, record.message) for record in caplog.records]
+    assert {("INFO", "arming"), ("INFO", "armed")} <= set(lines)
+    assert ("WARNING", "arming") not in lines
+    assert all(first != second for first, second in itertools.pairwise(lines))
 
 
 def test_a_create_2_is_spoken_to_at_its_own_rate_and_left_off(tmp_path):

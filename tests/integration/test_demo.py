@@ -71,7 +71,8 @@ def test_the_demo_makes_a_map_although_matcher_and_mapper_are_killed(tmp_path, e
         finally:
             up.send_signal(signal.SIGINT)
             out, err = up.communicate(timeout=60)
-    assert (up.returncode, err) == (130, "")
+    complaints = [line for line in err.splitlines() if not line.startswith("still loading")]
+    assert (up.returncode, complaints) == (130, [])
     results = tmp_path / "res"
     names = {
         "map.pgm",

@@ -138,6 +138,12 @@ def test_a_covered_window_is_reported_after_five_seconds():
     assert ("warn", "nearly all rays return nothing; is the window covered?") in [r[:2] for r in port.reports]
 
 
+def test_looking_for_the_sensor_at_the_start_is_no_warning():
+    with Emulator(speed=SPEED) as emulator:
+        port = run(emulator, 5)
+    assert {level for level, _, _ in port.reports} == {"ok"}
+
+
 def test_silence_is_reported_and_the_end_of_it_too():
     with Emulator(speed=SPEED) as emulator:
         port = _StoppingPort(emulator)

@@ -83,7 +83,8 @@ def cut(desk):
 BEFORE = (
     Call("config check mine.yaml", 0, "7 processes, good"),
     Call("doctor", 3, "plug"),
-    Call("up mine.yaml", 3, "no such port", ("--headless",)),
+    Call("up mine.yaml", 3, "No robot? `hallway up handheld`", ("--headless",)),
+    Call("up handheld", 3, "no URG", ("--headless",)),
     Call("keys make", 0, ""),
     Call("keys invite laptop --role operator", 0, "laptop.invitation"),
     Call("up onboard --remote", 3, "no such port", ("--headless",)),

@@ -59,8 +59,9 @@ def test_a_recording_is_shown_on_a_page_until_ctrl_c(recording, tmp_path, kind):
     ports = ["--port", str(port), "--web-port", str(page)]
     command = [sys.executable, "-m", "runtime.cli", "view", str(file), "--web", *ports]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        said = process.stdout.readline()
-        assert said.startswith(f"look at http://127.0.0.1:{page}/?url=")
+        assert process.stdout.readline() == "look at this page, Ctrl-C ends:\n"
+        address = process.stdout.readline().removesuffix("\n")
+        assert address == f"http://127.0.0.1:{page}/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{port}%2Fproxy"
         began = time.monotonic()
         process.send_signal(signal.SIGINT)
         assert process.wait(5) == 130

@@ -30,6 +30,7 @@ def load(name):
 story, browser = load("viewer_story"), load("browser")
 
 RED, BLUE, WHITE, WALL = (214, 40, 40), (38, 99, 214), (255, 255, 255), (28, 28, 28)
+WARN = (255, 122, 12)  # the program's own
 
 
 def need(there, what):
@@ -268,6 +269,16 @@ def test_a_viewer_whose_program_stands_still_stops_within_two_seconds(start):
     assert process.code == 0
 
 
+def test_a_viewer_that_ends_leaves_its_program_without_a_complaint(start, capfd):
+    process = start(mode="web", **ports(), memory_mb=64)
+    process.tell(20)
+    program = _child_of_us()
+    assert os.getpgid(program) != os.getpgid(0)  # Ctrl-C in the terminal is not for it
+    assert process.stop()
+    assert process.code == 0
+    assert capfd.readouterr().err == ""
+
+
 def test_a_full_file_ends_the_saving_and_not_the_disk(start, tmp_path, monkeypatch):
     file = tmp_path / "run.rrd"
     process = start(mode="save", file=str(file), file_mb=16)
@@ -324,24 +335,43 @@ def shows_the_room(image):
     )
 
 
-def test_the_picture_shows_walls_free_ground_way_and_points(start, tmp_path):
-    need(list(Path("/usr/share/vulkan/icd.d").glob("lvp*")), "mesa-vulkan-drivers")
-    process = start(mode="save", file=str(tmp_path / "run.rrd"))
-    process.tell()
-    assert process.stop()
-    shot = tmp_path / "shot.png"
+def photograph(file, size):
+    """What a saved picture looks like in a window of a size."""
+    shot = file.with_name("shot.png")
     command = [
         viewer_server.program(),
         "-",
         "--headless",
         "--window-size",
-        "1100x700",
+        size,
         "--screenshot-to",
         str(shot),
     ]
-    with (tmp_path / "run.rrd").open("rb") as recording:
+    with file.open("rb") as recording:
         subprocess.run(command, stdin=recording, capture_output=True, timeout=60, check=True)
-    image = Image.open(shot).convert("RGB")
+    return Image.open(shot).convert("RGB")
+
+
+def test_the_side_has_room_for_six_lines_of_what_happened(start, tmp_path):
+    need(list(Path("/usr/share/vulkan/icd.d").glob("lvp*")), "mesa-vulkan-drivers")
+    process = start(mode="save", file=str(tmp_path / "run.rrd"))
+    late = [story.diagnostics(0, f"node_{number}", 1, "is late") for number in range(6)]
+    late[0].status = [one.status[0] for one in late]
+    process.robot.publish("diagnostics", late[0])
+    assert until(lambda: process.words[2].get("drawings", 0) >= 6)
+    assert process.stop()
+    image = photograph(tmp_path / "run.rrd", "1500x900")
+    side = np.asarray(image)[image.height // 2 :, : image.width // 4].astype(int)
+    lines = (np.abs(side - WARN).max(axis=-1) <= 10).any(axis=1)
+    assert np.count_nonzero(lines[1:] & ~lines[:-1]) >= 6, "see shot.png"
+
+
+def test_the_picture_shows_walls_free_ground_way_and_points(start, tmp_path):
+    need(list(Path("/usr/share/vulkan/icd.d").glob("lvp*")), "mesa-vulkan-drivers")
+    process = start(mode="save", file=str(tmp_path / "run.rrd"))
+    process.tell()
+    assert process.stop()
+    image = photograph(tmp_path / "run.rrd", "1100x700")
     assert shows_the_room(image), "see shot.png"
     # The room is twice as wide as it is high: nothing is turned or stretched.
     free = np.argwhere((np.asarray(image)[:, image.width // 3 :] > 252).all(axis=-1))

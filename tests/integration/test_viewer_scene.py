@@ -192,6 +192,14 @@ def test_the_state_is_said_in_words(scene, canvas):
     assert canvas.last("state") == ("state/tracking", "LOST")
 
 
+def test_before_the_first_match_the_state_is_starting(scene, canvas):
+    take(scene, "diagnostics", story.diagnostics(0, "supervisor"))
+    assert canvas.last("state") == ("state/tracking", "STARTING")
+    assert canvas.last("words")[0].startswith("# STARTING")
+    take(scene, "diagnostics", story.diagnostics(10, "matcher", state="TRACKING"), 10)
+    assert canvas.last("state") == ("state/tracking", "TRACKING")
+
+
 def test_a_warning_is_noted_once_and_its_end_too(scene, canvas):
     for number in range(10):
         take(scene, "diagnostics", story.diagnostics(number, "laser", 1, "rate is 8 Hz"), number)

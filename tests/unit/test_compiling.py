@@ -1,7 +1,10 @@
 """The list of what is compiled first is whole, and the work is dealt out evenly."""
 
 import os
+import sys
 from pathlib import Path
+
+from numba.core.caching import _CacheLocator
 
 from runtime.cli import compiling
 
@@ -35,7 +38,12 @@ def test_loops_are_compiled_where_the_processes_look_for_them_and_only_once(tmp_
     copy.mkdir()
     for name in ("__init__.py", "evolution_kernels.py"):
         (copy / name).write_bytes((PROCESSING / name).read_bytes())
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(tmp_path),
+        "PYTHONSAFEPATH": "1",
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+    }
     said = []
 
     def times_compiled():
@@ -47,6 +55,32 @@ def test_loops_are_compiled_where_the_processes_look_for_them_and_only_once(tmp_
     assert times_compiled() == 1
     os.utime(copy / "evolution_kernels.py")  # as an upgrade does
     assert times_compiled() == 2
+
+
+def test_loops_count_as_compiled_only_where_numba_will_look_for_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(compiling.importlib.util, "find_spec", lambda name: _Spec(tmp_path / name))
+    source = tmp_path / "processing" / "evolution_kernels.py"
+    source.parent.mkdir()
+    source.touch()
+    python = f"py{sys.version_info.major}{sys.version_info.minor}"
+    beside, elsewhere = source.parent / "__pycache__", tmp_path / "cache"
+
+    def compiled(**environment):
+        return compiling._compiled("evolution_kernels", environment)
+
+    def put(folder, name=f"evolution_kernels.mutate-12.{python}.nbi"):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / name).touch()
+
+    put(elsewhere / f"processing_{'0' * 40}")  # another checkout's
+    put(beside, "evolution_kernels.mutate-12.py27.nbi")  # another Python's
+    assert not compiled()
+    assert not compiled(NUMBA_CACHE_DIR=str(elsewhere))
+    put(beside)
+    assert compiled()
+    assert not compiled(NUMBA_CACHE_DIR=str(elsewhere))
+    put(elsewhere / _CacheLocator.get_suitable_cache_subpath(str(source)))
+    assert compiled(NUMBA_CACHE_DIR=str(elsewhere))
 
 
 class _Spec:

@@ -45,6 +45,12 @@ def test_bash_offers_verbs_options_and_files(known, tmp_path, monkeypatch):
     assert {"bash", "zsh", "fish"} <= set(complete(script, "hallway", "completion", ""))
 
 
+def test_the_graphs_that_we_bring_are_offered(known):
+    script = completion.bash(known)
+    for words in (("up", ""), ("config", "dump", "")):
+        assert {"demo", "handheld", "onboard"} <= set(complete(script, "hallway", *words))
+
+
 @pytest.mark.parametrize("shell", completion.SHELLS)
 def test_each_shell_takes_its_script(shell, capsys):
     assert main(["completion", shell]) == 0

@@ -111,6 +111,23 @@ def test_a_wrong_value_names_place_rule_and_value(data, text):
     assert str(caught.value).startswith(text)
 
 
+def test_what_is_unknown_is_called_what_it_is():
+    known = ["corridor", "loop"]
+    with pytest.raises(ConfigError, match="--buildings coridor: unknown building; did you mean 'corr"):
+        config.refuse_unknown(["coridor"], known, "--buildings", what="building")
+    with pytest.raises(ConfigError, match="--buildings hut: unknown building; known: corridor, loop"):
+        config.refuse_unknown(["hut"], known, "--buildings", what="building")
+
+
+def test_a_required_value_that_is_not_there_is_named():
+    @dataclass
+    class Device:
+        path: str
+
+    with pytest.raises(ConfigError, match="base: path is missing"):
+        config.build(Device, {}, "base")
+
+
 def test_what_is_dumped_is_what_is_loaded(tmp_path):
     file = tmp_path / "a.yaml"
     value = Outer(file=Path("/b"), colour=Colour.BLUE, pair=(2.0, 3.0), parts={"left": Inner()})

@@ -6,6 +6,7 @@ import textwrap
 import pytest
 
 from runtime import graph
+from runtime.cli import main
 from runtime.errors import ConfigError
 from runtime.graph_on_map import on_map
 
@@ -71,7 +72,8 @@ def test_a_good_graph_is_resolved(modules):
     ("text", "error"),
     [
         ("nodes: {}", "nodes: must name at least one process"),
-        ("{}", "missing 1 required"),
+        ("{}", "nodes is missing"),
+        ("nodes: {a: {nice: 1}}", "nodes.a: module is missing"),
         ("robt: x\nnodes: {a: {module: m}}", "robt: unknown key; did you mean 'robot'?"),
         ("robot: Big\nnodes: {a: {module: m}}", "robot = 'Big', must be lower-case"),
         ("seed: -1\nnodes: {a: {module: m}}", "seed = -1, must be in [0, 2^63)"),
@@ -161,6 +163,20 @@ def test_a_graph_is_found_by_path_or_by_our_name_for_it(tmp_path):
     assert graph.find("demo") == graph.launch_dir() / "demo.yaml"
     with pytest.raises(ConfigError, match=r"graph 'dmeo': no such file, and not one of ours: demo"):
         graph.find("dmeo")
+
+
+def test_what_a_laser_in_a_hand_needs_is_what_the_robot_has_without_its_base():
+    robot, hand = (graph.load(graph.find(name)) for name in ("onboard", "handheld"))
+    assert hand.nodes == {name: node for name, node in robot.nodes.items() if name != "base"}
+
+
+@pytest.mark.parametrize("name", graph.ours())
+def test_each_of_our_graphs_may_start_and_the_help_names_it(name, capsys):
+    resolved = graph.resolve_all(graph.load(graph.find(name)), name)
+    assert {"laser", "matcher", "mapper"} <= set(resolved)
+    with pytest.raises(SystemExit):
+        main(["up", "--help"])
+    assert name in capsys.readouterr().out
 
 
 def test_the_check_prints_the_resolved_graph_or_one_line(modules, capsys):

@@ -166,6 +166,16 @@ def test_a_change_of_level_is_told_at_once_and_a_change_of_text_with_the_next_be
     assert health.vitals()["base"].text == "slipping much"
 
 
+def test_a_change_of_state_is_told_at_once_and_what_stands_behind_it_with_the_next_beat(bus, port):
+    health = Health(bus, "robot")
+    port.ready()
+    port.report("ok", "arming", state="arming")
+    assert health.vitals()["base"].values["state"] == "arming"
+    port.report("ok", "armed", state="armed (2 s)")
+    port.report("ok", "armed", state="armed (3 s)")
+    assert health.vitals()["base"].values["state"] == "armed (2 s)"
+
+
 def test_everything_counted_is_published(bus, port):
     health = Health(bus, "robot")
     subscription = port.subscribe("bumper")

@@ -4,8 +4,10 @@ import re
 import numpy as np
 import pytest
 
+from processing.odometry import SHAKEN
 from runtime import chart
-from runtime.report import STATES, ReportData, page, write_report
+from runtime.report import _COLOURS, DOUBTED, DOUBTED_M, STATES, ReportData, judged, page, write_report
+from runtime.report_tables import flat
 
 
 class Reader(html.parser.HTMLParser):
@@ -90,6 +92,78 @@ def test_where_the_match_did_not_hold_is_listed_the_longest_first():
     assert first < text.index("LOST from 2.0 to 2.2 s, at (0.2, 1.0) m")
 
 
+def doubting(*spans, count=200):
+    sigma_m = np.full((count, 2), 0.003)
+    for begin, end, value in spans:
+        sigma_m[begin:end] = value
+    return sigma_m
+
+
+def test_where_the_match_was_doubted_is_counted_marked_and_listed():
+    sigma_m = doubting((0, 1, np.nan), (60, 70, np.nan), (70, 100, 0.051))
+    text = page(run(sigma_m=sigma_m))
+    words = " ".join(read(text).text)
+    assert "80.0 % TRACKING, 20.0 % doubted" in words
+    assert "doubted from 6.0 to 9.9 s, at (0.6, 1.0) m" in words
+    assert words.count(" s, at (") == 1
+    assert text.count(f'height="16" fill="{_COLOURS[DOUBTED]}"') == 1
+
+
+def test_a_track_that_begins_a_corridor_and_a_loss_are_no_doubts():
+    states = np.array(["TRACKING"] * 200)
+    states[50:60], states[100:110] = "LOST", "DEGENERATE"
+    sigma_m = doubting((0, 1, np.nan), (50, 61, np.nan), (100, 110, 0.2))
+    assert judged(run(states=states.tolist(), sigma_m=sigma_m)).tolist() == states.tolist()
+
+
+def test_doubt_is_what_the_matcher_says_of_a_shaken_scan():
+    assert pytest.approx(DOUBTED_M) == SHAKEN[:2].min() == SHAKEN[:2].max()
+
+
+def test_a_plateau_of_doubt_leaves_the_usual_millimetres_to_be_seen():
+    sigma_mm = 1e3 * doubting((60, 100, 0.05))[:, 0]
+    x = np.arange(200.0)
+    (line,) = polyline(chart.decades(x, {"v": sigma_mm}, "v"))
+    heights = {round(y) for _, y in line}
+    assert max(heights) - min(heights) > 60  # 3 mm and 50 mm: 1.2 of two decades
+    assert max(heights) < 128 - 20  # and 3 mm lie well above the foot
+    marks = re.findall(r'text-anchor="end"[^>]*>([\d.]+)<', chart.decades(x, {"v": sigma_mm}, "v"))
+    assert marks == ["1", "10", "100"]
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan, 1e-9, 1.0])
+def test_a_logarithmic_scale_takes_what_has_no_logarithm(value):
+    series = {"v": np.full(50, value), "w": np.r_[np.zeros(49), 5.0]}
+    svg = chart.decades(np.arange(50.0), series, "v")
+    assert "nan" not in svg
+    assert len(re.findall(r'text-anchor="end"', svg)) <= 6 + 1
+
+
+def test_values_in_tables_are_words_for_people():
+    facts = {
+        "host": {"machine": "x86_64", "cores": 2},
+        "topic": None,
+        "known": 40.07500000000001,
+        "laser_in_base": [0.1, 0.0],
+        "interrupted": True,
+        "notices": [],
+    }
+    assert list(flat(facts)) == [
+        ("host, machine", "x86_64"),
+        ("host, cores", "2"),
+        ("known", "40.08"),
+        ("laser_in_base", "0.1, 0"),
+        ("interrupted", "yes"),
+        ("notices", "none"),
+    ]
+
+
+def test_a_page_fits_a_phone():
+    text = page(run())
+    assert '<meta name="viewport" content="width=device-width, initial-scale=1">' in text
+    assert "overflow-wrap: anywhere" in text
+
+
 def test_text_from_outside_is_text_and_no_markup():
     text = page(run(notices=["<script>alert(1)</script>"], facts={"input": "<b>"}))
     assert "<script>" not in text
@@ -134,7 +208,7 @@ def test_stamps_that_go_backwards_do_not_draw_backwards():
 def test_latency_and_losses_are_in_the_page_when_there_were_any():
     latency = {"match": {"p50": 3.14, "p99": 9.0, "max": 40.0}}
     text = " ".join(read(page(run(latency_ms=latency, counts={"scan.missed": 7}))).text)
-    assert "match 3.1 9.0 40.0" in text
+    assert "match 3.1 9.0 40.0 scan published to odom published" in text
     assert "scan.missed 7" in text
 
 
@@ -186,7 +260,7 @@ def test_a_run_that_was_live_has_its_page_made_of_its_files(tmp_path):
         odometry=data.map_t_laser,
         grid=grid,
         path_m=data.map_t_laser[:, :2],
-        metrics={"latency": hops, "way_m": 0.5},
+        metrics={"latency": hops, "way_m": 0.5, "known_m2": 40.075},
         run={"seed": 7, "processes": processes, "events": events},
     )
     save(folder, result)
@@ -198,4 +272,6 @@ def test_a_run_that_was_live_has_its_page_made_of_its_files(tmp_path):
     assert "matcher: ended with exit code -9" in text
     assert "mapper: ready" not in text
     assert "seed 7" in text
+    assert "40 m² mapped" in text
+    assert "known_m2" not in text
     assert not report_on(tmp_path, "nothing")

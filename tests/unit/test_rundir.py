@@ -27,6 +27,16 @@ def test_a_hub_that_begins_anew_does_not_make_its_robot_gone(now, tmp_path):
     assert presence.gone
 
 
+def test_a_robot_that_does_not_run_comes_with_the_next_step(now, tmp_path):
+    with pytest.raises(rundir.NotRunningError, match=r"hallway up demo.*hallway keys pair"):
+        rundir.running("robot")
+    (tmp_path / "rover").mkdir()
+    (tmp_path / "rover" / "hub.sock").touch()
+    with pytest.raises(rundir.NotRunningError, match="running: rover; say which with --robot"):
+        rundir.running("robot")
+    assert rundir.running("rover") == tmp_path / "rover"
+
+
 def test_a_robot_that_was_never_here_is_never_gone(now):
     presence = rundir.Presence("robot")
     now[0] += 1000
