@@ -43,7 +43,7 @@ class Status:
     mapped: int
     rates_hz: dict[str, float]
     hops_ms: dict[str, dict[str, float]]
-    """p50, p99 and max of each hop of `runtime.latency.HOPS`."""
+    """p50, p99 and max of each hop of `runtime.latency.HOPS`, in the last minute."""
     processes: tuple[ProcessLine, ...]
 
     def to_json(self) -> dict[str, Any]:

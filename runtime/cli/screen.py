@@ -75,7 +75,7 @@ def table(status: Status, elapsed_s: float | None) -> Any:
         f"   map {status.map_size or '-'}   {status.mapped} of {status.scans} scans",
     )
     rates = "   ".join(f"{name} {rate:.1f}/s" for name, rate in status.rates_hz.items())
-    hops = Table("hop", "p50 ms", "p99 ms", "max ms", "", box=None, pad_edge=False)
+    hops = Table("last minute", "p50 ms", "p99 ms", "max ms", "", box=None, pad_edge=False)
     for column in (1, 2, 3):
         hops.columns[column].justify = "right"
     for hop, ms in status.hops_ms.items():
