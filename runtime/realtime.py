@@ -76,9 +76,10 @@ def step_aside() -> bool:
     return True
 
 
-def step_forward() -> None:
-    """Run like everybody again."""
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+def step_forward(pid: int = 0) -> None:
+    """Let a process, this one by default, run like everybody again, if it has stepped aside."""
+    if os.sched_getscheduler(pid) == os.SCHED_IDLE:
+        os.sched_setscheduler(pid, os.SCHED_OTHER, os.sched_param(0))
 
 
 def settle() -> None:
