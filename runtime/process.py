@@ -79,7 +79,7 @@ def _run(args: argparse.Namespace, log: logging.Logger) -> int:
     if args.spare and not sys.stdin.readline():
         return 0  # nobody needs it any more
     if aside:
-        realtime.step_forward()
+        realtime.step_forward(0, like=os.getppid())
     realtime.schedule(log, priority=spec.priority, nice=spec.nice, cores=spec.cores)
 
     def open_bus() -> Bus:

@@ -76,10 +76,10 @@ def step_aside() -> bool:
     return True
 
 
-def step_forward(pid: int = 0) -> None:
-    """Let a process, this one by default, run like everybody again, if it has stepped aside."""
+def step_forward(pid: int, like: int) -> None:
+    """Let a process that has stepped aside be scheduled like another one again; 0 is this process."""
     if os.sched_getscheduler(pid) == os.SCHED_IDLE:
-        os.sched_setscheduler(pid, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setscheduler(pid, os.sched_getscheduler(like), os.sched_getparam(like))
 
 
 def settle() -> None:

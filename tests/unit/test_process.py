@@ -39,7 +39,9 @@ def stages(tmp_path, monkeypatch):
             return True
 
         monkeypatch.setattr("runtime.process.realtime.step_aside", step_aside)
-        monkeypatch.setattr("runtime.process.realtime.step_forward", lambda: steps.append("forward"))
+        monkeypatch.setattr(
+            "runtime.process.realtime.step_forward", lambda pid, like: steps.append("forward")
+        )
         if called:
             os.write(writing, b"go\n")
         with open(reading, encoding="ascii") as stdin:
