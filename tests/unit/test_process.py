@@ -1,11 +1,17 @@
-"""A spare process stands aside while it imports, unless it was called already."""
+"""How a node's process is scheduled: a spare one stands aside while it imports, a pinned one stays."""
 
+import json
 import os
+import subprocess
+import sys
 import textwrap
+from pathlib import Path
 
 import pytest
 
 from runtime import process
+
+ROOT = Path(__file__).resolve().parents[2]
 
 NODE = """
     from dataclasses import dataclass
@@ -60,3 +66,29 @@ def test_who_only_stands_by_leaves_the_processor_to_others(stages):
 
 def test_who_is_called_before_it_has_imported_anything_hurries(stages):
     assert stages(called=True) == []
+
+
+def test_a_pinned_process_stays_on_its_core_with_all_its_threads(tmp_path):
+    core = min(os.sched_getaffinity(0))
+    (tmp_path / "pinned").mkdir()
+    text = NODE.replace(
+        "        return 0\n",
+        "        import json, os, threading\n"
+        "        found = [sorted(os.sched_getaffinity(0))]\n"
+        "        look = lambda: found.append(sorted(os.sched_getaffinity(0)))\n"
+        "        thread = threading.Thread(target=look)\n"
+        "        thread.start()\n"
+        "        thread.join()\n"
+        "        port.results_dir.mkdir()\n"
+        "        (port.results_dir / 'cores.json').write_text(json.dumps(found))\n"
+        "        return 0\n",
+    )
+    (tmp_path / "pinned" / "node.py").write_text(textwrap.dedent(text))
+    (tmp_path / "g.yaml").write_text(f"nodes: {{a: {{module: pinned.node, cores: [{core}]}}}}")
+    command = [sys.executable, "-m", "runtime.node", "a", "--graph", "g.yaml"]
+    command += ["--run-dir", str(tmp_path), "--results-dir", str(tmp_path / "a")]
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
+    environment.pop(process.PARENT_VARIABLE, None)
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads((tmp_path / "a" / "cores.json").read_text()) == [[core], [core]]
