@@ -106,6 +106,8 @@ class BusPort:
         row = topic_named(topic)
         if row.name not in self._subscribes:
             raise ValueError(f"{self.name}: subscribes {row.name!r}, which is not in its SUBSCRIBES")
+        if not raw:
+            messages.prepare(row.type)
         inbox = Inbox(row, self.clock, lambda: self.stopping, keep=keep, raw=raw)
         bus = self._connected()
         self._inboxes.append(inbox)
@@ -237,6 +239,7 @@ class BusPort:
                 bus = self._bus = self._open_bus()
                 for name in self._publishes:
                     row = topic_named(name)
+                    messages.prepare(row.type)
                     self._outlets[name] = _Outlet(bus, self._key(row), row, self.clock)
                     self._declare_endpoint(bus, "MP", row)
                 self._beating = threading.Thread(target=self._heartbeat, name="heartbeat", daemon=True)

@@ -142,6 +142,15 @@ def test_stopping_ends_a_wait(port):
     stopper.join()
 
 
+def test_the_first_message_of_a_type_does_not_wait_for_its_reader_to_be_made(bus, monkeypatch):
+    monkeypatch.setattr(messages.TYPES, "cache", {})
+    with BusPort("x", bus.join, subscribes=("scan", "map"), publishes=("pose",)) as port:
+        port.subscribe("scan")
+        port.subscribe("map", raw=True)
+        made = {name for name in ("scan", "map", "pose") if topic(name).type in messages.TYPES.cache}
+    assert made == {"scan", "pose"}
+
+
 def test_ready_is_a_token_and_a_word(bus, port):
     health = Health(bus, "robot")
     port.subscribe("bumper")
