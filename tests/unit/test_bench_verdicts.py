@@ -98,7 +98,7 @@ def test_a_pose_that_leaps_where_the_robot_did_not_is_a_fault(chaos):
     blow = chaos.Blow("mapper", "SIGKILL", 0.9)
     chaos.judge(blow, watch, SECOND_NS, 19 * SECOND_NS // 10)
     assert blow.leap_m == pytest.approx(np.hypot(0.53, 0.5) - 0.03, abs=1e-6)
-    assert blow.faults() == ["leap"]
+    assert blow.faults() == ["leap of 0.70 m"]
 
 
 def test_what_comes_late_or_not_at_all_or_without_its_map_is_a_fault(chaos):
