@@ -24,6 +24,7 @@ class Checkpoint:
         path: Of the file; relative where there is no run, and then nothing is kept.
         every_ns: Time between two writings at least, by the stamps given to `due`; longer where writing
             takes long, so that a slow disk never takes more than a twentieth of the time, up to LONGEST_NS.
+            The quicker one of the last two counts: one stall of the machine does not make a disk slow.
         identity: What must be equal for a state to be taken back, such as the configuration.
         now_ns: The present; given by tests.
     """
@@ -34,14 +35,15 @@ class Checkpoint:
         self._now_ns = now_ns
         self._path, self._every_ns, self._identity = path, every_ns, identity
         self._written_ns: int | None = None
-        self._took_ns = 0
+        self._took_ns = self._took_before_ns = 0
 
     def due(self, stamp_ns: int) -> bool:
         """Whether it is time to write again; a stamp that went backwards counts as time."""
         if not self._path.is_absolute():
             return False
         last = self._written_ns
-        pause_ns = max(self._every_ns, min(_SHARE * self._took_ns, LONGEST_NS))
+        took_ns = min(self._took_ns, self._took_before_ns)
+        pause_ns = max(self._every_ns, min(_SHARE * took_ns, LONGEST_NS))
         return last is None or not 0 <= stamp_ns - last < pause_ns
 
     def write(self, stamp_ns: int, state: Any) -> bool:
@@ -57,7 +59,7 @@ class Checkpoint:
             fresh.unlink(missing_ok=True)
             return False
         finally:
-            self._took_ns = self._now_ns() - began_ns
+            self._took_before_ns, self._took_ns = self._took_ns, self._now_ns() - began_ns
         return True
 
     def read(self) -> Any | None:

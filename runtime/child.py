@@ -17,6 +17,7 @@ from pathlib import Path
 
 from runtime.graph import NodeSpec
 from runtime.spare import Spare, is_stopped
+from runtime.usage import Usage
 
 _BACKOFF_S = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
 _STEADY_S = 5.0  # after so long without failure, an old failure is forgotten
@@ -60,6 +61,7 @@ class Child:
         self.was_ready = False
         self._command, self._environment = list(command), dict(environment)
         self._process: subprocess.Popen[bytes] | None = None
+        self._usage: Usage | None = None
         self._failures = 0
         self._due = 0.0
         self._blamed = ""
@@ -70,6 +72,10 @@ class Child:
     def pid(self) -> int | None:
         """Of the living process."""
         return self._process.pid if self._process else None
+
+    def usage(self) -> dict[str, str]:
+        """Return what the living process takes of the machine, as `Usage.values`; nothing without one."""
+        return self._usage.values() if self._process and self._usage else {}
 
     @property
     def age_s(self) -> float:
@@ -83,6 +89,7 @@ class Child:
     def start(self) -> None:
         """Start the process, or let the spare one take over."""
         self._process = self._spare.call() or self._spawned(self._command, subprocess.DEVNULL)
+        self._usage = Usage(self._process.pid)
         self._blamed = ""
         self.enter(State.STARTING)
 

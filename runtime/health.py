@@ -5,7 +5,7 @@ Fed by the bus: liveliness tokens say who is ready, the `diagnostics` topic says
 
 import threading
 import time
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,10 +44,15 @@ class Vital:
 
     def number(self, key: str, default: float = 0.0) -> float:
         """Return one of the values as a number; `default` if it is none."""
-        try:
-            return float(self.values[key])
-        except (KeyError, ValueError):
-            return default
+        return number_of(self.values, key, default)
+
+
+def number_of(values: Mapping[str, str], key: str, default: float = 0.0) -> float:
+    """Return one of the values as a number; `default` if it is none."""
+    try:
+        return float(values[key])
+    except (KeyError, ValueError):
+        return default
 
 
 class Health:

@@ -1,7 +1,8 @@
 """A subscription on a real bus: decodes what arrives, counts what does not, and times its reader.
 
 The time from taking one message to asking for the next is the reader's work; more than the topic's period
-is a missed deadline, because the next message was there already.
+is a missed deadline, because the next message was there already. The time from the arrival of a message to
+the moment it is taken is its age in the queue.
 """
 
 import time
@@ -10,6 +11,7 @@ from typing import Any
 
 from runtime.bus import Arrival, Mailbox
 from runtime.clock import Clock
+from runtime.latency import Recent
 from runtime.messages import BadMessageError, decode
 from runtime.port import Received
 from runtime.topics import Topic
@@ -36,6 +38,7 @@ class Inbox:
         self.worst_work_ns = 0
         self._clock, self._stopping, self._raw = clock, stopping, raw
         self._taken_monotonic_ns = 0
+        self._ages = Recent()
 
     @property
     def received(self) -> int:
@@ -76,6 +79,10 @@ class Inbox:
         """See Subscription.drain."""
         return [got for arrival in self.mailbox.take_all() if (got := self._read(arrival)) is not None]
 
+    def queue_ms(self) -> float:
+        """Return the age that 99 of 100 messages of the last minute had at most when they were taken, ms."""
+        return self._ages.summary(time.monotonic_ns()).get("p99", 0.0)
+
     def counters(self) -> dict[str, int]:
         """Return what is published about this subscription, under the topic's name."""
         values = {
@@ -97,6 +104,8 @@ class Inbox:
                 self.deadline_misses += 1
 
     def _read(self, arrival: Arrival) -> Received | None:
+        now_ns = time.monotonic_ns()
+        self._ages.add((now_ns - arrival.received_monotonic_ns) / 1e6, now_ns)
         payload = bytes(arrival.payload)
         message: Any = None
         if not self._raw:

@@ -62,6 +62,11 @@ class BadMessageError(HallwayError):
     """A payload that is not the message it should be."""
 
 
+def prepare(msgtype: str) -> None:
+    """Make what reads and writes a type now; the first message of it would wait for that, up to 80 ms."""
+    TYPES.get_msgdef(msgtype)
+
+
 def encode(message: Any) -> bytes:
     """Serialise a message to CDR, little endian, with its four-byte header."""
     return bytes(TYPES.serialize_cdr(message, message.__msgtype__))

@@ -25,6 +25,7 @@ from runtime.port import Level, Subscription
 from runtime.pulling import Puller
 from runtime.topics import Topic
 from runtime.topics import topic as topic_named
+from runtime.usage import Usage
 
 HEARTBEAT_S = 1.0
 _MATCHING_S = 0.3
@@ -111,7 +112,7 @@ class BusPort:
     @property
     def stopping(self) -> bool:
         """See Port.stopping."""
-        self._turned_monotonic = time.monotonic()
+        self.turn()
         return self._asked_to_stop
 
     def subscribe(self, topic: str, *, keep: int | None = None, raw: bool = False) -> Subscription:
@@ -119,6 +120,8 @@ class BusPort:
         row = topic_named(topic)
         if row.name not in self._subscribes:
             raise ValueError(f"{self.name}: subscribes {row.name!r}, which is not in its SUBSCRIBES")
+        if not raw:
+            messages.prepare(row.type)
         inbox = Inbox(row, self.clock, lambda: self.stopping, keep=keep, raw=raw)
         bus = self._connected()
         self._inboxes.append(inbox)
@@ -178,6 +181,10 @@ class BusPort:
 
     # ---- what the frame does ----
 
+    def turn(self) -> None:
+        """Take note that the node's loop turns; asking whether to stop does so, too."""
+        self._turned_monotonic = time.monotonic()
+
     def stop(self) -> None:
         """Ask the node to stop; a signal handler may call it, for it takes no lock.
 
@@ -207,6 +214,7 @@ class BusPort:
         for inbox in self._inboxes:
             values |= inbox.counters()
             values[f"{inbox.topic.name}.worst_work_ms"] = f"{inbox.worst_work_ns / 1e6:.1f}"
+            values[f"{inbox.topic.name}.queue_ms"] = f"{inbox.queue_ms():.1f}"
         for outlet in self._outlets.values():
             values[f"{outlet.topic.name}.published"] = outlet.published
         if self._puller is not None:
@@ -245,6 +253,7 @@ class BusPort:
                 bus = self._bus = self._open_bus()
                 for name in self._publishes:
                     row = topic_named(name)
+                    messages.prepare(row.type)
                     self._outlets[name] = _Outlet(bus, self._key(row), row, self.clock)
                     self._declare_endpoint(bus, "MP", row)
                 self._beating = threading.Thread(target=self._heartbeat, name="heartbeat", daemon=True)
@@ -268,29 +277,6 @@ class BusPort:
 def _state_in(values: dict[str, object]) -> str:
     """Return the word for the state that a node is in; what follows it, such as an angle, always changes."""
     return str(values.get("state", "")).partition(" ")[0]
-
-
-class Usage:
-    """This process's resident memory and CPU time."""
-
-    def __init__(self) -> None:
-        self._mark = (time.monotonic(), time.process_time())
-        self._cpu_percent = 0.0
-
-    def values(self) -> dict[str, object]:
-        """Return MB, s, and the percentage of one core since about a second ago."""
-        with open("/proc/self/statm", encoding="ascii") as file:
-            pages = int(file.read().split()[1])
-        now, cpu_s = time.monotonic(), time.process_time()
-        then, before_s = self._mark
-        if now - then > HEARTBEAT_S / 2:
-            self._cpu_percent = 100.0 * (cpu_s - before_s) / (now - then)
-            self._mark = (now, cpu_s)
-        return {
-            "rss_mb": f"{pages * os.sysconf('SC_PAGE_SIZE') / 1e6:.1f}",
-            "cpu_s": f"{cpu_s:.2f}",
-            "cpu_percent": f"{self._cpu_percent:.1f}",
-        }
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from runtime.bus import Bus, Handle
 from runtime.clock import Clock
 
 _QUESTIONS = 20
-_AGAIN_S = 60.0  # two quartzes part by some milliseconds in that time at most
+AGAIN_S = 60.0  # two quartzes part by some milliseconds in that time at most
 _STAMP = struct.Struct("<q")
 
 
@@ -87,5 +87,5 @@ class Follower:
         while True:
             if (offset := measured(self._bus, self._robot, self._clock)) is not None:
                 self._clock.offset_ns += offset.offset_ns
-            if self._closing.wait(_AGAIN_S):
+            if self._closing.wait(AGAIN_S):
                 return

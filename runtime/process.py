@@ -7,6 +7,7 @@ rules; its last line of log says why.
 import argparse
 import logging
 import os
+import select
 import signal
 import sys
 import time
@@ -73,12 +74,12 @@ def _run(args: argparse.Namespace, log: logging.Logger) -> int:
     robot = args.robot or loaded.robot
     refuse_unknown([args.name], list(loaded.nodes), f"{args.graph}: nodes")
     spec = loaded.nodes[args.name]
-    aside = args.spare and realtime.step_aside()
+    aside = args.spare and not _is_called() and realtime.step_aside()
     resolved = graph.resolve(args.name, spec, str(args.graph), args.run_dir)
     if args.spare and not sys.stdin.readline():
         return 0  # nobody needs it any more
     if aside:
-        realtime.step_forward()
+        realtime.step_forward(0, like=os.getppid())
     realtime.schedule(log, priority=spec.priority, nice=spec.nice, cores=spec.cores)
 
     def open_bus() -> Bus:
@@ -105,3 +106,8 @@ def _run(args: argparse.Namespace, log: logging.Logger) -> int:
         except Exception as error:
             port.report("error", str(error) or type(error).__name__)
             raise
+
+
+def _is_called() -> bool:
+    """Whether a spare process is needed before it has imported anything."""
+    return bool(select.select([sys.stdin], [], [], 0.0)[0])

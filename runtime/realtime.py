@@ -76,9 +76,10 @@ def step_aside() -> bool:
     return True
 
 
-def step_forward() -> None:
-    """Run like everybody again."""
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+def step_forward(pid: int, like: int) -> None:
+    """Let a process that has stepped aside be scheduled like another one again; 0 is this process."""
+    if os.sched_getscheduler(pid) == os.SCHED_IDLE:
+        os.sched_setscheduler(pid, os.sched_getscheduler(like), os.sched_getparam(like))
 
 
 def settle() -> None:

@@ -104,8 +104,10 @@ class Run:
             ready |= self._health.ready()
             silent = self._health.silent(SILENT_S)
         self.supervisor.step(ready, silent)
-        if self._port is not None and time.monotonic() - self._reported > _REPORT_S:
-            self._report(self._port)
+        if self._port is not None:
+            self._port.turn()
+            if time.monotonic() - self._reported > _REPORT_S:
+                self._report(self._port)
 
     def status(self) -> Status:
         """Return how the robot is."""
@@ -154,6 +156,10 @@ class Run:
             values[f"child.{child.name}.restarts"] = child.restarts
             if child.reasons:
                 values[f"child.{child.name}.reason"] = child.reasons[-1]
+        hub = self.supervisor.children.get(HUB)
+        if hub is not None and hub.pid is not None:  # every other process speaks for itself
+            seen = {"pid": hub.pid, **hub.usage()}
+            values |= {f"child.{HUB}.{name}": value for name, value in seen.items()}
         step_ms = self.clock.wall_step_ns() / 1e6
         values["wall_clock_step_ms"] = f"{step_ms:.1f}"
         down = [c.name for c in children if c.state.value in ("backoff", "failed")]

@@ -1,7 +1,8 @@
 """The directory of a running robot: its sockets and device links, for its owner's eyes only.
 
 One directory for each robot's name, locked while its supervisor lives; whoever wants to look at a running
-robot finds it by that name.
+robot finds it by that name. A robot that starts at boot has a place of its own, which systemd makes for it
+and takes away with it: what belonged to several would go with the first that ends.
 """
 
 import contextlib
@@ -15,7 +16,8 @@ from pathlib import Path
 
 from runtime.errors import ConfigError, HallwayError
 
-_VARIABLE = "HALLWAY_RUN"
+VARIABLE = "HALLWAY_RUN"
+_SYSTEM = Path("/run")
 GONE_S = 2.0
 
 
@@ -25,21 +27,42 @@ class NotRunningError(HallwayError):
 
 def base_dir() -> Path:
     """Return where the directories of all robots are."""
-    if named := os.environ.get(_VARIABLE):
+    if named := os.environ.get(VARIABLE):
         return Path(named)
     if home := os.environ.get("XDG_RUNTIME_DIR"):
         return Path(home) / "hallway"
     return Path(f"/tmp/hallway-{os.getuid()}")
 
 
+def boot_name(robot: str) -> str:
+    """Return the name under which systemd keeps the directory of a robot that starts at boot."""
+    return f"hallway-{robot}"
+
+
+def boot_dir(robot: str) -> Path:
+    """Return where such a robot's directory is: what `base_dir` is to all others."""
+    return _SYSTEM / boot_name(robot)
+
+
 def run_dir(robot: str) -> Path:
-    """Return the directory of one robot, whether or not it runs."""
-    return base_dir() / robot
+    """Return the directory of one robot: where it runs, or else where it would."""
+    return next(filter(_listens, _places(robot)), base_dir() / robot)
 
 
 def is_running(robot: str) -> bool:
     """Whether a robot of that name runs here."""
-    return (run_dir(robot) / "hub.sock").exists()
+    return _listens(run_dir(robot))
+
+
+def _places(robot: str) -> list[Path]:
+    ours = base_dir() / robot
+    # Who says where robots are means those and no others.
+    return [ours] if os.environ.get(VARIABLE) else [ours, boot_dir(robot) / robot]
+
+
+def _listens(place: Path) -> bool:
+    # The question of `Path` raises where the place is somebody else's.
+    return os.path.exists(place / "hub.sock")
 
 
 class Presence:
@@ -69,16 +92,21 @@ def running(robot: str) -> Path:
         NotRunningError: It does not; the text names those that do, or how to come to one.
     """
     path = run_dir(robot)
-    if not is_running(robot):
-        others = sorted(p.parent.name for p in base_dir().glob("*/hub.sock")) if base_dir().is_dir() else []
-        way_out = (
-            f"running: {', '.join(others)}; say which with --robot"
-            if others
-            else "nor does any other; start one with `hallway up demo`, "
-            "or pair with one elsewhere with `hallway keys pair FILE`"
-        )
-        raise NotRunningError(f"robot {robot!r} does not run here, {way_out}")
-    return path
+    if _listens(path):
+        return path
+    others = [socket.parent.name for socket in base_dir().glob("*/hub.sock")]
+    if not os.environ.get(VARIABLE):
+        boot = boot_dir(robot)
+        if boot.is_dir() and not os.access(boot, os.X_OK):
+            raise NotRunningError(f"robot {robot!r} was started at boot and belongs to user {boot.owner()!r}")
+        others += [socket.parent.name for socket in _SYSTEM.glob(f"{boot_name('*')}/*/hub.sock")]
+    way_out = (
+        f"running: {', '.join(sorted(others))}; say which with --robot"
+        if others
+        else "nor does any other; start one with `hallway up demo`, "
+        "or pair with one elsewhere with `hallway keys pair FILE`"
+    )
+    raise NotRunningError(f"robot {robot!r} does not run here, {way_out}")
 
 
 def private(robot: str) -> Path:
@@ -104,6 +132,8 @@ def claimed(robot: str) -> Iterator[Path]:
     Raises:
         ConfigError: The robot runs already, or the directory belongs to somebody else.
     """
+    if (elsewhere := run_dir(robot)) != base_dir() / robot:
+        raise ConfigError(f"robot {robot!r} runs already, since boot, in {elsewhere}")
     path = private(robot)
     lock = os.open(base_dir() / f"{robot}.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:

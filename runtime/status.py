@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from runtime.health import Vital
+from runtime.health import Vital, number_of
 from runtime.latency import HOPS
+from runtime.offset import Offset
 
 SUPERVISOR = "supervisor"
 MATCHER, MAPPER, MONITOR = "matcher", "mapper", "monitor"
@@ -28,7 +29,11 @@ class ProcessLine:
     rss_mb: float
     lost: int
     """Messages that arrived and were not taken, or never arrived."""
+    duplicates: int
+    """Messages that arrived again."""
     deadline_misses: int
+    queue_ms: float
+    """Age of a message when it is taken, p99 of the last minute of the slowest subscription."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +48,18 @@ class Status:
     mapped: int
     rates_hz: dict[str, float]
     hops_ms: dict[str, dict[str, float]]
-    """p50, p99 and max of each hop of `runtime.latency.HOPS`."""
+    """p50, p99 and max of each hop of `runtime.latency.HOPS`, in the last minute."""
     processes: tuple[ProcessLine, ...]
+    clock: Offset | None = None
+    """Of the robot, against ours; None where that was not measured."""
 
     def to_json(self) -> dict[str, Any]:
         """Return it as plain values."""
-        return dataclasses.asdict(self)
+        values = dataclasses.asdict(self)
+        del values["clock"]
+        offset_ns = self.clock.offset_ns if self.clock else None
+        round_trip_ns = self.clock.round_trip_ns if self.clock else None
+        return values | {"clock_offset_ns": offset_ns, "clock_round_trip_ns": round_trip_ns}
 
     def line(self) -> str:
         """Return it in one line."""
@@ -66,12 +77,14 @@ class Status:
             parts.append(f"map {self.map_size}")
         if self.scans:
             parts.append(f"{self.mapped} of {self.scans} scans")
+        if self.clock is not None:
+            parts.append(f"clock {self.clock}")
         parts += [f"{p.name}: {p.text or p.state}" for p in self.processes if p.level != "ok"]
         return " | ".join(parts)
 
 
-def status_of(robot: str, vitals: Mapping[str, Vital]) -> Status:
-    """Put the last words of all processes together."""
+def status_of(robot: str, vitals: Mapping[str, Vital], clock: Offset | None = None) -> Status:
+    """Put the last words of all processes together, and how far its clock is from ours where we know it."""
     monitor, matcher = vitals.get(MONITOR), vitals.get(MATCHER)
     supervisor = vitals.get(SUPERVISOR)
     return Status(
@@ -83,6 +96,7 @@ def status_of(robot: str, vitals: Mapping[str, Vital]) -> Status:
         rates_hz=_rates(monitor),
         hops_ms=_hops(vitals),
         processes=tuple(_lines(vitals, supervisor)),
+        clock=clock,
     )
 
 
@@ -124,22 +138,32 @@ def _lines(vitals: Mapping[str, Vital], supervisor: Vital | None) -> list[Proces
             level, text = "error", supervisor.values.get(f"child.{name}.reason", "") if supervisor else ""
         elif vital is not None and vital.age_s > _STALE_S and state in ("", "running"):
             level, text = "stale", f"not heard for {vital.age_s:.0f} s"
-        values = vital.values if vital else {}
+        values = vital.values if vital else _seen_by(supervisor, name)
+        ages = [number_of(values, key) for key in values if key.endswith(".queue_ms")]
         lines.append(
             ProcessLine(
                 name=name,
                 state=state or ("running" if vital else ""),
                 level=level,
                 text=text,
-                pid=int(vital.number("pid")) if vital else 0,
+                pid=int(number_of(values, "pid")),
                 restarts=int(supervisor.number(f"child.{name}.restarts")) if supervisor else 0,
-                cpu_percent=vital.number("cpu_percent") if vital else 0.0,
-                rss_mb=vital.number("rss_mb") if vital else 0.0,
+                cpu_percent=number_of(values, "cpu_percent"),
+                rss_mb=number_of(values, "rss_mb"),
                 lost=_sum(values, (".overwritten", ".missed", "scans_skipped")),
+                duplicates=_sum(values, (".duplicates",)),
                 deadline_misses=_sum(values, (".deadline_misses",)),
+                queue_ms=max(ages, default=0.0),
             )
         )
     return lines
+
+
+def _seen_by(supervisor: Vital | None, name: str) -> dict[str, str]:
+    """Return what the supervisor tells of a process that says nothing of itself, as the hub."""
+    start = f"child.{name}."
+    values = supervisor.values if supervisor else {}
+    return {key.removeprefix(start): value for key, value in values.items() if key.startswith(start)}
 
 
 def _is_gone(guest: Vital, supervisor: Vital | None) -> bool:

@@ -77,17 +77,18 @@ def table(status: Status, elapsed_s: float | None) -> Any:
         (status.tracking or "starting", _STATE_COLOURS.get(status.tracking.split(" ")[0], "white")),
         "" if elapsed_s is None else f"   {elapsed_s:.0f} s",
         f"   map {status.map_size or '-'}   {status.mapped} of {status.scans} scans",
+        "" if status.clock is None else f"   clock {status.clock}",
     )
     rates = "   ".join(f"{name} {rate:.1f}/s" for name, rate in status.rates_hz.items())
-    hops = Table("hop", "p50 ms", "p99 ms", "max ms", "", box=None, pad_edge=False)
+    hops = Table("last minute", "p50 ms", "p99 ms", "max ms", "", box=None, pad_edge=False)
     for column in (1, 2, 3):
         hops.columns[column].justify = "right"
     for hop, ms in status.hops_ms.items():
         values = [f"{ms[name]:.1f}" for name in ("p50", "p99", "max")]
         hops.add_row(hop, *values, Text(HOPS[hop], style="dim"))
-    titles = ("process", "state", "cpu %", "MB", "lost", "late", "restarts", "")
+    titles = ("process", "state", "cpu %", "MB", "lost", "twice", "queue ms", "late", "restarts", "")
     processes = Table(*titles, box=None, pad_edge=False)
-    for column in (2, 3, 4, 5, 6):
+    for column in range(2, 9):
         processes.columns[column].justify = "right"
     for line in status.processes:
         colour = _COLOURS.get(line.level, "white")
@@ -97,6 +98,8 @@ def table(status: Status, elapsed_s: float | None) -> Any:
             f"{line.cpu_percent:.0f}",
             f"{line.rss_mb:.0f}",
             str(line.lost),
+            str(line.duplicates),
+            f"{line.queue_ms:.0f}",
             str(line.deadline_misses),
             str(line.restarts),
             Text(line.text, style="" if line.level == "ok" else colour, overflow="ellipsis"),

@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     from runtime.cli.screen import Screen
     from runtime.clock import Clock
     from runtime.health import Health
-    from runtime.offset import measured
+    from runtime.offset import AGAIN_S, measured
     from runtime.status import status_of
 
     with ZenohBus(gate.visit(args.robot)) as bus:
@@ -31,20 +31,22 @@ def run(args: argparse.Namespace) -> int:
         began = time.monotonic()
         if args.once:
             time.sleep(_LISTEN_S)
-            status = status_of(args.robot, health.vitals())
-            offset = measured(bus, args.robot, Clock())
+            status = status_of(args.robot, health.vitals(), measured(bus, args.robot, Clock()))
             if args.json:
-                own = {"clock_offset_ns": offset.offset_ns if offset else None}
-                print(json.dumps({**status.to_json(), **own}))
+                print(json.dumps(status.to_json()))
             else:
                 _print(status)
-                print(f"clock of the robot minus ours: {offset or 'not told'}")
+                print(f"clock of the robot minus ours: {status.clock or 'not told'}")
             well = all(line.level == "ok" for line in status.processes)
             return 0 if well and status.processes else 1
         with Screen(quiet=args.json) as screen:
             presence = rundir.Presence(args.robot)
+            offset, ask_s = None, began
             while not presence.gone:
-                status = status_of(args.robot, health.vitals())
+                if time.monotonic() >= ask_s:
+                    offset = measured(bus, args.robot, Clock())
+                    ask_s = time.monotonic() + (AGAIN_S if offset else _LISTEN_S)
+                status = status_of(args.robot, health.vitals(), offset)
                 screen.show(status, time.monotonic() - began)
                 if args.json:
                     print(json.dumps(status.to_json()), flush=True)

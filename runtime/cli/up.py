@@ -54,6 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="do not start: write a systemd unit that does at boot",
     )
+    parser.add_argument(
+        "--enable", action="store_true", help="with --service: start it now, and at every boot"
+    )
     parser.add_argument("--json", action="store_true", help="machine-readable, one object at the end")
 
 
@@ -64,6 +67,8 @@ def run(args: argparse.Namespace) -> int:
     from runtime.graph_on_map import on_map
 
     file = graphs.find(args.graph)
+    if args.enable and args.service is None:
+        raise ConfigError("--enable: needs --service, the unit that is to be started")
     if args.on is None:
         if args.extend:
             raise ConfigError("--extend: needs --on SESSION, the map to go on with")
@@ -96,7 +101,8 @@ def _run(args: argparse.Namespace, file: Path) -> int:
         raise ConfigError(f"--{error}") from error
     remote = ""
     if args.remote is not None:
-        keys.authority(graph.robot)
+        if args.service is None:  # under sudo the keys would be looked for in another home
+            keys.authority(graph.robot)
         remote = args.remote or f"0.0.0.0:{keys.PORT}"
     headless = args.headless or not _has_screen()
     if headless:
@@ -139,7 +145,11 @@ def _install(file: Path, robot: str, args: argparse.Namespace) -> int:
     folder = (args.out or Path("results")).absolute()
     text = service.unit(file.absolute(), robot, folder.parent, service.owner(), extra)
     path = service.install(text, robot, Path(args.service))
-    print(f"{path}: written; now: systemctl daemon-reload && systemctl enable --now {path.name}")
+    if args.enable:
+        service.enable(path)
+        print(f"{path}: written; runs, and will at every boot; systemctl status {path.stem} says how it is")
+    else:
+        print(f"{path}: written; now: systemctl daemon-reload && systemctl enable --now {path}")
     return 0
 
 

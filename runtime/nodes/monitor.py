@@ -1,11 +1,11 @@
 """Monitor process: follows every scan from the laser to the map and says how long each hop took.
 
 It reads stamps and sequence numbers and decodes nothing, so that looking does not slow what it looks at.
-What it measured is in its own diagnostics, and in `latency.json` of its results when it ends.
+The last minute is in its own diagnostics, and decides whether it warns; the whole run is in `latency.json` of
+its results when it ends.
 """
 
 import json
-import time
 from dataclasses import dataclass
 
 from runtime.latency import Journeys, Rate
@@ -15,6 +15,7 @@ SUBSCRIBES = ("scan", "odom", "pose", "map", "map_updates")
 PUBLISHES = ()
 
 _TURN_S = 0.05
+_REPORT_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +23,7 @@ class Config:
     """When to warn."""
 
     late_ms: float = 200.0
-    """p99 from the first ray to the pose, over the whole run, ms: a revolution and as much again."""
+    """p99 from the first ray to the pose, over the last minute, ms: a revolution and as much again."""
 
     def __post_init__(self) -> None:
         if not 0 < self.late_ms <= 60_000:
@@ -36,7 +37,7 @@ def run(port: Port, config: Config) -> int:
     journeys = Journeys()
     rates = {name: Rate() for name in SUBSCRIBES}
     port.ready()
-    due = time.monotonic()
+    due_ns = port.clock.now_ns()
     values: dict[str, str] = {}
     while not port.stopping:
         arrived: list[Received] = []
@@ -46,30 +47,25 @@ def run(port: Port, config: Config) -> int:
             arrived += inboxes[name].drain()
         for received in sorted(arrived, key=lambda one: one.published_ns):
             journeys.see(received)
-        now = time.monotonic()
-        if now >= due:
-            due = now + 1.0
-            values = journeys.values()
+        now_ns = port.clock.now_ns()
+        if now_ns >= due_ns:
+            due_ns = now_ns + _REPORT_NS
+            values = journeys.values(now_ns)
             for name, inbox in inboxes.items():
-                values[f"{name}.rate_hz"] = f"{rates[name].update(now, inbox.received):.2f}"
-            p99_ms = journeys.hops["whole"].quantile_ms(0.99)
+                values[f"{name}.rate_hz"] = f"{rates[name].update(now_ns / 1e9, inbox.received):.2f}"
+            p99_ms = journeys.hops["whole"].recent.summary(now_ns).get("p99", 0.0)
             if p99_ms > config.late_ms:
                 port.report(
                     "warn", f"poses are late: p99 {p99_ms:.0f} ms, limit {config.late_ms:g} ms", **values
                 )
             else:
                 port.report("ok", used(journeys), **values)
-    port.report("ok", used(journeys), **{**values, **journeys.values()})
+    port.report("ok", used(journeys), **{**values, **journeys.values(port.clock.now_ns())})
     if port.results_dir is not None:
         port.results_dir.mkdir(parents=True, exist_ok=True)
-        hops = {hop: {"count": h.count, **h.summary()} for hop, h in journeys.hops.items() if h.count}
-        counts = {
-            "scans": journeys.scans,
-            "matched": journeys.matched,
-            "mapped": journeys.mapped,
-            "late": journeys.late,
-        }
-        text = json.dumps({"unit": "ms", "hops": hops, **counts}, indent=2)
+        hops = {name: {"count": h.run.count, **h.run.summary()} for name, h in journeys.hops.items()}
+        hops = {name: values for name, values in hops.items() if values["count"]}
+        text = json.dumps({"unit": "ms", "hops": hops, **journeys.counts()}, indent=2)
         (port.results_dir / "latency.json").write_text(text + "\n", encoding="utf-8")
     return 0
 

@@ -1,7 +1,7 @@
 """Simulator process: a building, a robot in it, and the two serial lines at which the real drivers listen.
 
 It publishes `truth`, where the robot really is, for the scripted operator and for whoever judges a map; the
-matcher and the mapper never see it.
+matcher and the mapper never see it. Killed and started again, the robot stands where it stood.
 """
 
 import time
@@ -17,6 +17,7 @@ from drivers import world
 from drivers.create.emulator import CreateEmulator
 from drivers.urg04lx.emulator import Emulator as LaserEmulator
 from runtime import messages
+from runtime.checkpoint import Checkpoint
 from runtime.nodes.convert import pose_to_message
 from runtime.port import Port
 
@@ -60,17 +61,20 @@ class Config:
 def run(port: Port, config: Config) -> int:
     """Simulate until the port stops."""
     building = BUILDINGS[config.building]()
-    robot = world.WheeledRobot(building, now_ns=time.monotonic_ns())
+    place = port.run_dir / "simulator.checkpoint"
+    # As if writing took no time: a few bytes, and a place that is seconds old would be another place.
+    kept = Checkpoint(place, _TRUTH_NS, config, now_ns=lambda: 0)
+    robot = world.WheeledRobot(building, kept.read(), now_ns=time.monotonic_ns())
     links = [port.run_dir / config.laser, port.run_dir / config.base]
     laser = LaserEmulator(sight(building, robot, port.seed), link=links[0], seed=port.seed)
     base = CreateEmulator(robot, model=config.model, link=links[1], seed=port.seed)
     try:
         with laser, base:
             port.ready()
-            _publish_truth(port, robot, base)
+            _publish_truth(port, robot, base, kept)
     finally:
-        for link in links:
-            link.unlink(missing_ok=True)
+        for file in (*links, place):
+            file.unlink(missing_ok=True)
     return 0
 
 
@@ -86,7 +90,7 @@ def sight(
     return scene
 
 
-def _publish_truth(port: Port, robot: world.WheeledRobot, base: CreateEmulator) -> None:
+def _publish_truth(port: Port, robot: world.WheeledRobot, base: CreateEmulator, kept: Checkpoint) -> None:
     due_ns = time.monotonic_ns()
     while not port.stopping:
         now_ns = time.monotonic_ns()
@@ -96,6 +100,8 @@ def _publish_truth(port: Port, robot: world.WheeledRobot, base: CreateEmulator) 
         due_ns = max(due_ns + _TRUTH_NS, now_ns)
         map_t_base = robot.poses_at(now_ns)[0]
         stamp = messages.header(port.clock.from_monotonic_ns(now_ns), "map")
+        if kept.due(now_ns):
+            kept.write(now_ns, map_t_base)
         port.publish("truth", messages.PoseStamped(header=stamp, pose=pose_to_message(map_t_base)))
         x, y, yaw = map_t_base
         where = f"{x:.2f} {y:.2f} m, {np.degrees(yaw) % 360.0:.0f} deg"

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from runtime.latency import SCREEN, Histogram
+from runtime.latency import SCREEN, Hop
 from runtime.nodes.viewer_painter import Painter
 from runtime.nodes.viewer_scene import SUBSCRIBES, Scene
 from runtime.nodes.viewer_server import ViewerServer
@@ -102,10 +102,13 @@ def has_screen() -> bool:
 def _show(
     port: Port, config: Config, server: ViewerServer | None, painter: Painter, screen: Any, where: str
 ) -> int:
-    ages = Histogram()
-    scene = Scene(
-        port.robot, painter.paint, lambda stamp_ns: ages.add((port.clock.now_ns() - stamp_ns) / 1e6)
-    )
+    ages = Hop()
+
+    def drawn(stamp_ns: int) -> None:
+        now_ns = port.clock.now_ns()
+        ages.add((now_ns - stamp_ns) / 1e6, now_ns)
+
+    scene = Scene(port.robot, painter.paint, drawn)
     inboxes = {topic: port.subscribe(topic) for topic in SUBSCRIBES}
     port.ready()
     now = time.monotonic()
@@ -121,9 +124,9 @@ def _show(
             if (code := _look_after(port, config, server, painter, scene, where, ages)) is not None:
                 return code
     _close(server, painter, screen)
-    if port.results_dir is not None and ages.count:
+    if port.results_dir is not None and ages.run.count:
         port.results_dir.mkdir(parents=True, exist_ok=True)
-        hops = {SCREEN: {"count": ages.count, **ages.summary()}}
+        hops = {SCREEN: {"count": ages.run.count, **ages.run.summary()}}
         (port.results_dir / "latency.json").write_text(json.dumps({"hops": hops}), encoding="utf-8")
     return 0
 
@@ -145,14 +148,14 @@ def _look_after(
     painter: Painter,
     scene: Scene,
     where: str,
-    ages: Histogram,
+    ages: Hop,
 ) -> int | None:
     """Report how it goes; return an exit code when there is nothing left to draw on."""
     values: dict[str, object] = {
         "drawings": painter.drawn,
         "dropped_drawings": painter.dropped,
         "refused_messages": scene.refused,
-        **(ages.values(SCREEN) if ages.count else {}),
+        **ages.values(SCREEN, port.clock.now_ns()),
     }
     if painter.failed:
         port.report("error", "the picture cannot be drawn; the log of this process says why", **values)

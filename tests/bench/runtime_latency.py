@@ -4,8 +4,9 @@
 
 Every message carries the stamp of its scan and the time it was published, so nothing is measured but read.
 The sensor's own revolution (100 ms from the first ray to the last) is taken off the whole way; the target
-is a p99 under 100 ms beyond it. `--fifo` gives laser and matcher the real-time scheduler, as a robot that
-allows it.
+is a p99 under 100 ms beyond it. The very first scan is told beside it: everything is compiled and warm before
+the laser starts, so it shall be no later than the others. `--fifo` gives laser and matcher the real-time
+scheduler, as a robot that allows it.
 """
 
 import argparse
@@ -116,10 +117,15 @@ def report(published, metrics, stop_s):
     }
     for hop, values in ms.items():
         p50, p99, worst = np.percentile(values, (50, 99, 100))
-        first = max(values[:FIRST])
-        results[hop] = {"p50": round(p50, 2), "p99": round(p99, 2), "max": round(worst, 2)}
+        early = max(values[:FIRST])
+        results[hop] = {
+            "first": round(values[0], 2),
+            "p50": round(p50, 2),
+            "p99": round(p99, 2),
+            "max": round(worst, 2),
+        }
         line = f"{hop:26} p50 {p50:7.2f}  p99 {p99:7.2f}  max {worst:7.2f} ms"
-        print(f"{line}   worst of the first {FIRST}: {first:.1f}")
+        print(f"{line}   the first scan {values[0]:.1f}, worst of the first {FIRST}: {early:.1f}")
     print(json.dumps({"bench": "runtime_latency", "unit": "ms", **results}))
 
 

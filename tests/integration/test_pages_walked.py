@@ -64,6 +64,13 @@ def carry_logs(desk):
         shutil.copy(desk / "results" / "intel" / "session.mcap", desk / f"{day}.mcap")
 
 
+def be_systemd(desk):
+    """Nobody's machine is to start a robot because of a test."""
+    (desk / "units").mkdir()
+    (desk / "bin").mkdir()
+    (desk / "bin" / "systemctl").symlink_to("/bin/true")
+
+
 def paint(desk):
     """Somebody paints a wall, and a mask beside it."""
     picture = np.asarray(Image.open(desk / "results" / "day1" / "map.pgm")).copy()
@@ -85,6 +92,7 @@ BEFORE = (
     Call("doctor", 3, "plug"),
     Call("up mine.yaml", 3, "No robot? `hallway up handheld`", ("--headless",)),
     Call("up handheld", 3, "no URG", ("--headless",)),
+    Call("up mine.yaml --service --enable", 0, "runs, and will", ("--service", "units"), first=be_systemd),
     Call("keys make", 0, ""),
     Call("keys invite laptop --role operator", 0, "laptop.invitation"),
     Call("up onboard --remote", 3, "no such port", ("--headless",)),
@@ -173,6 +181,8 @@ def shell(desk):
         "HOME": str(desk / "home"),
         "XDG_CONFIG_HOME": str(desk / "home"),
         "HALLWAY_RUN": str(desk / "run"),
+        "PATH": f"{desk / 'bin'}{os.pathsep}{os.environ['PATH']}",
+        "SUDO_USER": "nobody",
     }
     environment = {**own, **home, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error"}
 

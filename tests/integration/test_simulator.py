@@ -12,6 +12,7 @@ from drivers.create.safety import State
 from drivers.world.drive import simulate_scans
 from runtime import messages
 from runtime.bus_memory import MemoryBus
+from runtime.checkpoint import Checkpoint
 from runtime.clock import ManualClock
 from runtime.node import BusPort
 from runtime.nodes import base, laser, operator, simulator
@@ -116,6 +117,19 @@ def test_truth_comes_ten_times_a_second_and_under_the_time_it_was_true(tmp_path)
     assert np.median(np.diff(stamps)) == pytest.approx(100 * MS, rel=0.2)
     assert all(0 <= r.received_ns - stamp < 1000 * MS for r, stamp in zip(got, stamps, strict=True))
     np.testing.assert_allclose(pose_from_message(got[-1].message.pose), world.room().start, atol=1e-9)
+
+
+def test_a_simulator_that_was_killed_finds_the_robot_where_it_stood(tmp_path):
+    config = simulator.Config(building="room")
+    stood = world.room().start + np.array((0.5, -0.25, 1.0))
+    Checkpoint(tmp_path / "simulator.checkpoint", 1, config).write(1, stood)
+    with Demo(tmp_path, simulator=(simulator, config)) as demo:
+        got = wait(demo.truth.drain, what="a truth")
+        wait((tmp_path / "simulator.checkpoint").exists, what="its place to be kept")
+        kept = Checkpoint(tmp_path / "simulator.checkpoint", 1, config).read()
+    np.testing.assert_allclose(pose_from_message(got[0].message.pose), stood, atol=1e-9)
+    np.testing.assert_allclose(kept, stood, atol=1e-9)
+    assert list(tmp_path.iterdir()) == []  # its last word: the next run begins at the start
 
 
 def test_every_building_can_be_simulated():

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from runtime import realtime
 from runtime.child import State, last_line
 from runtime.clock import OFFSET_VARIABLE, Clock
 from runtime.graph import Graph, NodeSpec
@@ -242,6 +243,32 @@ def test_a_spare_process_that_is_dead_or_frozen_is_replaced_by_a_fresh_one(scene
         )
         assert stage.children["a"].pid not in (first, spare)
         assert not alive(spare)
+
+
+IMPORTS = """
+import os, sys, time
+if "--spare" in sys.argv:
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    print("imports", flush=True)
+    time.sleep(600)
+time.sleep(600)
+"""
+
+
+def test_a_spare_process_that_is_called_while_it_imports_does_not_stand_aside_any_longer(scene, monkeypatch):
+    monkeypatch.setattr("runtime.child._SPARE_AFTER_S", 0.0)
+    if not realtime.step_aside():
+        pytest.skip("who steps aside here could not step forward again")
+    realtime.step_forward(0, like=os.getppid())
+    stage = scene({"a": IMPORTS}, a=NodeSpec(module="m", spare=True))
+    stage.ready = {"a"}
+    stage.until(lambda: stage.wrote("a", "imports\n"))
+    stage.ready = set()
+    spare = stage.children["a"]._spare.pid
+    assert os.sched_getscheduler(spare) == os.SCHED_IDLE
+    os.kill(stage.children["a"].pid, signal.SIGKILL)
+    stage.until(lambda: stage.children["a"].pid == spare)
+    assert os.sched_getscheduler(spare) == os.sched_getscheduler(0)
 
 
 def test_who_depends_on_others_is_asked_to_end_before_them(scene):

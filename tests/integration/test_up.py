@@ -11,6 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from runtime import links
+from runtime.bus_zenoh import ZenohBus
+from runtime.health import Health
+
 ROOT = Path(__file__).resolve().parents[2]
 
 NODES = {
@@ -282,6 +286,33 @@ def test_one_robot_runs_once_and_another_beside_it(desk):
     assert code == 0
     first.send_signal(signal.SIGINT)
     first.communicate(timeout=20)
+
+
+def test_the_status_as_a_stream_tells_of_the_hub_and_of_the_clock(desk):
+    up = desk.start("up", "g.yaml", "--out", "res")
+    wait_for_line(up, "all processes run after")
+    status = desk.start("status", "--robot", "trial", "--json")
+    hub = clock = None
+    for line in status.stdout:
+        told = json.loads(line)
+        hub = next((process for process in told["processes"] if process["name"] == "hub"), None)
+        clock = told["clock_offset_ns"]
+        if hub is not None and clock is not None and hub["pid"]:
+            break
+    status.send_signal(signal.SIGINT)
+    status.communicate(timeout=20)
+    assert b"runtime.hub" in Path(f"/proc/{hub['pid']}/cmdline").read_bytes()
+    assert hub["rss_mb"] > 1
+    assert abs(clock) < 50_000_000  # one machine, one clock
+    with ZenohBus(links.peer(desk.folder / "run" / "trial", "test")) as bus:
+        health = Health(bus, "trial")
+        end = time.monotonic() + 20
+        while "supervisor" not in health.vitals():
+            assert time.monotonic() < end
+            time.sleep(0.05)
+        assert health.vitals()["supervisor"].number("loop_age_s") < 1.5
+    up.send_signal(signal.SIGINT)
+    up.communicate(timeout=20)
 
 
 def test_old_results_of_that_name_are_kept_beside_the_new(desk):

@@ -67,10 +67,23 @@ def test_without_a_run_nothing_is_kept(tmp_path, monkeypatch):
     assert checkpoint.read() is None
 
 
+def after_writings(path, *took_ns):
+    """Return the shortest pause until it is due again, when writing took so long each time."""
+    times = [time for took in took_ns for time in (0, took)]
+    clock = iter(times)
+    checkpoint = Checkpoint(path, EVERY_NS, "config", lambda: next(clock))
+    for number in range(len(took_ns)):
+        checkpoint.write(number, "state")
+    last = len(took_ns) - 1
+    return next(ns for ns in (EVERY_NS, 2000, LONGEST_NS) if checkpoint.due(last + ns))
+
+
 def test_a_slow_disk_gets_a_twentieth_of_the_time_and_no_state_is_older_than_ten_seconds(tmp_path):
-    clock = iter((0, 100, 1000, 1000 + 10**12))
-    checkpoint = Checkpoint(tmp_path / "a", EVERY_NS, "config", lambda: next(clock))
-    checkpoint.write(0, "state")
-    assert [checkpoint.due(stamp) for stamp in (1999, 2000)] == [False, True]
-    checkpoint.write(2000, "state")
-    assert [checkpoint.due(2000 + stamp) for stamp in (LONGEST_NS - 1, LONGEST_NS)] == [False, True]
+    assert after_writings(tmp_path / "a", 100, 100) == 2000
+    assert after_writings(tmp_path / "a", 10**12, 10**12) == LONGEST_NS
+
+
+def test_one_stall_does_not_make_a_disk_slow(tmp_path):
+    assert after_writings(tmp_path / "a", 10**12) == EVERY_NS
+    assert after_writings(tmp_path / "a", 10, 10**12) == EVERY_NS
+    assert after_writings(tmp_path / "a", 100, 10**12, 100) == 2000

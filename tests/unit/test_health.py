@@ -1,14 +1,18 @@
 """What processes say of themselves becomes one picture, and no foreign word can grow or break it."""
 
+import io
 import time
 
 import pytest
+from rich.console import Console
 
 from runtime import messages
 from runtime.bus_memory import MemoryBus
+from runtime.cli.screen import table
 from runtime.health import Health
 from runtime.messages import Attachment
 from runtime.node import BusPort
+from runtime.offset import Offset
 from runtime.status import status_of
 from runtime.topics import topic
 
@@ -93,7 +97,12 @@ def test_the_status_is_what_the_processes_said(bus, health):
     say(bus, "robot/mapper", 0, "mapping", map_size="10.0 m x 5.0 m")
     say(bus, "robot/view_9", 0, "showing", **{"latency.screen.p50_ms": 150, "latency.screen.p99_ms": 170})
     say(
-        bus, "robot/laser", 1, "dusty", **{"scan.overwritten": 2, "odom.missed": 3, "scan.deadline_misses": 4}
+        bus,
+        "robot/laser",
+        1,
+        "dusty",
+        **{"scan.overwritten": 2, "odom.missed": 3, "scan.deadline_misses": 4},
+        **{"scan.queue_ms": 2.5, "odom.queue_ms": 7.25, "scan.duplicates": 6, "odom.duplicates": 1},
     )
     say(
         bus,
@@ -101,6 +110,10 @@ def test_the_status_is_what_the_processes_said(bus, health):
         0,
         "",
         **{
+            "child.hub.state": "running",
+            "child.hub.pid": 11,
+            "child.hub.rss_mb": 51.5,
+            "child.hub.cpu_percent": 1.5,
             "child.laser.state": "running",
             "child.laser.restarts": 2,
             "child.mapper.state": "backoff",
@@ -115,12 +128,35 @@ def test_the_status_is_what_the_processes_said(bus, health):
         "screen": {"p50": 150.0, "p99": 170.0, "max": 0.0},
     }
     lines = {line.name: line for line in status.processes}
-    assert list(lines)[:2] == ["laser", "mapper"]
+    assert list(lines)[:3] == ["hub", "laser", "mapper"]
     assert (lines["laser"].restarts, lines["laser"].lost, lines["laser"].deadline_misses) == (2, 5, 4)
+    assert (lines["laser"].queue_ms, lines["laser"].duplicates) == (7.25, 7)
+    assert (lines["hub"].pid, lines["hub"].rss_mb, lines["hub"].cpu_percent) == (11, 51.5, 1.5)
     assert (lines["mapper"].level, lines["mapper"].text) == ("error", "killed")
     assert "TRACKING" in status.line()
     assert "laser: dusty" in status.line()
     assert "ray to pose 120/140 ms" in status.line()
+
+
+def test_how_far_the_clocks_are_apart_is_in_every_form_of_the_status(bus, health):
+    status = status_of("robot", health.vitals(), Offset(-2_500_000, 400_000))
+    assert "clock -2.500 ms, to 0.200 ms" in status.line()
+    values = status.to_json()
+    assert (values["clock_offset_ns"], values["clock_round_trip_ns"]) == (-2_500_000, 400_000)
+    assert status_of("robot", {}).to_json()["clock_offset_ns"] is None
+
+
+def test_the_table_shows_what_was_lost_came_twice_and_waited(bus, health):
+    values = {"scan.missed": 31, "scan.duplicates": 42, "scan.queue_ms": 53.4, "scan.deadline_misses": 64}
+    say(bus, "robot/laser", 1, "dusty", **values)
+    status = status_of("robot", health.vitals(), Offset(-2_500_000, 400_000))
+    console = Console(record=True, width=200, file=io.StringIO())
+    console.print(table(status, 5.0))
+    lines = console.export_text().splitlines()
+    assert "clock -2.500 ms, to 0.200 ms" in lines[0]
+    heads, row = lines[-2].split(), lines[-1].split()
+    assert heads == ["process", "state", "cpu", "%", "MB", "lost", "twice", "queue", "ms", "late", "restarts"]
+    assert row == ["laser", "running", "0", "0", "31", "42", "53", "64", "0", "dusty"]
 
 
 def test_an_empty_picture_is_one_too():

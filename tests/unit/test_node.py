@@ -142,6 +142,15 @@ def test_stopping_ends_a_wait(port):
     stopper.join()
 
 
+def test_the_first_message_of_a_type_does_not_wait_for_its_reader_to_be_made(bus, monkeypatch):
+    monkeypatch.setattr(messages.TYPES, "cache", {})
+    with BusPort("x", bus.join, subscribes=("scan", "map"), publishes=("pose",)) as port:
+        port.subscribe("scan")
+        port.subscribe("map", raw=True)
+        made = {name for name in ("scan", "map", "pose") if topic(name).type in messages.TYPES.cache}
+    assert made == {"scan", "pose"}
+
+
 def test_ready_is_a_token_and_a_word(bus, port):
     health = Health(bus, "robot")
     port.subscribe("bumper")
@@ -217,6 +226,33 @@ def test_work_longer_than_the_period_is_a_missed_deadline(bus, monkeypatch):
             assert subscription.wait(0.0) is None
         assert subscription.deadline_misses == 1
         assert subscription.worst_work_ns == 150_000_000
+
+
+def test_how_long_messages_waited_to_be_taken_is_told(bus, monkeypatch):
+    now_ns = [1]
+    monkeypatch.setattr("runtime.inbox.time.monotonic_ns", lambda: now_ns[0])
+    with BusPort("matcher", bus.join, subscribes=("bumper", "truth")) as port:
+        queued, newest = port.subscribe("bumper", raw=True), port.subscribe("truth", raw=True)
+        publishers = bus.publisher(key("bumper")), bus.publisher(key("truth"))
+        for _ in range(3):
+            for publisher in publishers:
+                publisher.put(b"x", b"")
+            now_ns[0] += 40_000_000
+        assert newest.wait(0.0) is not None
+        assert len(queued.drain()) == 3
+        values = port.counters()
+        assert (values["bumper.queue_ms"], values["truth.queue_ms"]) == ("120.0", "40.0")
+        now_ns[0] += 61_000_000_000
+        assert port.counters()["bumper.queue_ms"] == "0.0"
+
+
+def test_a_loop_that_turns_is_told_from_one_that_hangs(port, monkeypatch):
+    now_s = [time.monotonic()]
+    monkeypatch.setattr("runtime.node.time.monotonic", lambda: now_s[0])
+    now_s[0] += 30.0
+    assert float(port.counters()["loop_age_s"]) > 29
+    port.turn()
+    assert port.counters()["loop_age_s"] == "0.0"
 
 
 def test_a_late_node_gets_the_map_that_was_published_before(bus):

@@ -3,6 +3,7 @@
 import pytest
 
 from runtime import rundir
+from runtime.errors import ConfigError
 
 
 @pytest.fixture
@@ -41,3 +42,41 @@ def test_a_robot_that_was_never_here_is_never_gone(now):
     presence = rundir.Presence("robot")
     now[0] += 1000
     assert not presence.gone
+
+
+@pytest.fixture
+def system(monkeypatch, tmp_path):
+    """A person's place without a robot, and `/run` with one that was started at boot."""
+    monkeypatch.delenv("HALLWAY_RUN", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "person"))
+    monkeypatch.setattr("runtime.rundir._SYSTEM", tmp_path / "run")
+    place = rundir.boot_dir("carrier") / "carrier"
+    place.mkdir(parents=True)
+    (place / "hub.sock").touch()
+    return place
+
+
+def test_a_robot_that_was_started_at_boot_is_found_by_whoever_names_no_place(system, monkeypatch, tmp_path):
+    assert rundir.is_running("carrier")
+    assert rundir.running("carrier") == rundir.run_dir("carrier") == system
+    assert not rundir.is_running("robot")
+    with pytest.raises(rundir.NotRunningError, match="running: carrier"):
+        rundir.running("robot")
+    monkeypatch.setenv("HALLWAY_RUN", str(tmp_path / "elsewhere"))
+    assert not rundir.is_running("carrier")
+    with pytest.raises(rundir.NotRunningError, match="running: none"):
+        rundir.running("carrier")
+
+
+def test_a_robot_that_runs_since_boot_is_not_started_beside_itself(system):
+    with pytest.raises(ConfigError, match="'carrier' runs already, since boot"), rundir.claimed("carrier"):
+        pass
+    with rundir.claimed("robot") as path:
+        assert path == rundir.base_dir() / "robot"
+
+
+def test_the_boot_robot_of_somebody_else_is_named_with_its_owner(system, monkeypatch):
+    (system / "hub.sock").unlink()  # what is in the place of another cannot be seen
+    monkeypatch.setattr("runtime.rundir.os.access", lambda path, mode: path != system.parent)
+    with pytest.raises(rundir.NotRunningError, match="belongs to user"):
+        rundir.running("carrier")
