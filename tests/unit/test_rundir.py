@@ -64,7 +64,7 @@ def test_a_robot_that_was_started_at_boot_is_found_by_whoever_names_no_place(sys
         rundir.running("robot")
     monkeypatch.setenv("HALLWAY_RUN", str(tmp_path / "elsewhere"))
     assert not rundir.is_running("carrier")
-    with pytest.raises(rundir.NotRunningError, match="running: none"):
+    with pytest.raises(rundir.NotRunningError, match="nor does any other"):
         rundir.running("carrier")
 
 
