@@ -305,7 +305,9 @@ class LaserOdometry:
         else:
             if self._watch.shaken:
                 covariance = covariance + np.diag(SHAKEN**2)
-            covariance = self._blindness.widened(covariance, unseen, self._watch.since_s)
+            covariance = self._blindness.widened(
+                covariance, unseen, self._watch.since_s, self._cruise.steady_s
+            )
         return Motion(
             stamp_ns=scan.stamp_ns,
             odom_t_laser=snap_yaw(compose(self._filter.pose, exponential(-self._filter.twist * middle_s))),

@@ -111,10 +111,13 @@ class Cruise:
     """
 
     def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
         self._counts = [max(1, round(window_s / period_s)) for window_s in CRUISE_S]
         self._turning = max(1, round(TURNING_S / period_s))
         self._seen: deque[Twist] = deque(maxlen=self._counts[0])
         self._held: NDArray[np.float64] | None = None
+        self.steady_s = 0.0
+        """For how long the velocity last returned had been steady; 0 if it was not."""
 
     def see(self, motion: Pose, duration_s: float) -> None:
         """Take in a motion (3,) of which every direction was seen."""
@@ -136,9 +139,10 @@ class Cruise:
             off_m_s = max(STEADY_M_S, doubt_m_s)
             straight = self._straight(np.array((*self._seen, twist)))
             windows = (straight[-count:] for count in self._counts)
-            means = (window.mean(axis=0) for window in windows if _is_even(window))
-            steady = (mean for mean in means if np.hypot(*(mean - twist[:2])) < off_m_s)
-            self._held = next(steady, twist[:2].copy())
+            means = ((window.mean(axis=0), len(window)) for window in windows if _is_even(window))
+            steady = ((mean, count) for mean, count in means if np.hypot(*(mean - twist[:2])) < off_m_s)
+            self._held, count = next(steady, (twist[:2].copy(), 0))
+            self.steady_s = count * self._period_s
         return self._held
 
     def _straight(self, twists: NDArray[np.float64]) -> NDArray[np.float64]:
