@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from processing.dpslam.loops import LoopConfig
+from processing.dpslam.loop_config import LoopConfig
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from processing import se2
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.grid import CELL_M, METRES, STOPS
-from processing.dpslam.loops import FAR_M, Loops
+from processing.dpslam.judging import FAR_M
+from processing.dpslam.loops import Loops
 from processing.dpslam.memory import KeyScans
 from processing.dpslam.population import Population
 from processing.dpslam.proposal import Matrix, doubted

@@ -10,13 +10,15 @@ Relations are of two kinds: the motions of the scan matcher between key scans, n
 a key scan lay on the settled map, which may be wrong and are doubted when they disagree.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from processing.dpslam.closing import FIELD_CELL_M, Closing, Question
+from processing.dpslam.drift import drift_of
+from processing.dpslam.judging import FITTING, Finding, Judge, away_m
+from processing.dpslam.loop_config import LoopConfig
 from processing.dpslam.places import Places
 from processing.dpslam.proposal import WIDE_M
 from processing.dpslam.settled import SettledMap
@@ -30,54 +32,8 @@ from processing.smoothing import Relations, smooth
 Matrix = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoopConfig:
-    """When a place counts as known, and how far the path may have drifted."""
-
-    reach_m: float = 15.0
-    """Way after which a key scan settles, and how far around it matters: about what the laser sees."""
-    drift: float = 0.01
-    """Least drift of any scan matcher, a share of the way."""
-    drift_rad_per_m: float = 0.004
-    """The same in rotation."""
-    query_m: float = 4.0
-    """Least length of way whose points are searched for together."""
-    most_query_m: float = 12.0
-    """Most of it: the farther the path may have drifted, the more must be recognised."""
-    try_every_m: float = 1.0
-    """Way between two looks for a place that is known."""
-    least_score: float = 0.6
-    """Share of the searched points that must find their wall."""
-    rival_ratio: float = 0.95
-    """A second place that fits so nearly as well makes the first one nobody's."""
-    far_rival_ratio: float = 0.85
-    """The same where the path may have drifted by more than half a metre: corridors repeat themselves."""
-    most_window_m: float = 10.0
-    """Farthest from where the path is that a known place is looked for, however far it may have drifted."""
-    most_window_rad: float = 0.8
-    """The same in rotation."""
-
-    def __post_init__(self) -> None:
-        for name in (
-            "reach_m",
-            "drift",
-            "query_m",
-            "most_query_m",
-            "try_every_m",
-            "most_window_m",
-            "most_window_rad",
-        ):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} = {getattr(self, name)}, must be positive")
-        for name in ("least_score", "rival_ratio", "far_rival_ratio"):
-            if not 0.0 < getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} = {getattr(self, name)}, must be in (0, 1]")
-
-
 KNOWN_SHARE = 0.4
 """Share of a scan that lies where the settled map knows something, for the scan to be tried on it."""
-FITTING = 0.3
-"""Score from which a point counts as lying on its wall."""
 MOST_CORRECTION = np.array((0.2, 0.2, 0.1))
 """A scan that would have to move farther to lie on the settled map does not lie on it."""
 PATIENCE = 8
@@ -86,15 +42,9 @@ POINT_GAIN = 0.3
 """Information of a point that fits: neighbouring points err alike."""
 DOUBT = 12.0
 """Chi-square at which a place is doubted: 3 degrees of freedom pass it once in a hundred."""
-GATE = 20.0
-"""Chi-square of a closure against the drift beyond which it is another place that looks alike. On the way
-there the place must fit better and better, up to every point: of two explanations, a strange drift and a
-likeness of places, the score must rule one out."""
 UNSEEN_M = 1.5 * WIDE_M
 """Deviation of the motion between key scans from which the odometry did not see: half as much again as that
 up to which one that it saw is doubted."""
-FAR_M = 0.5
-"""Drift (one sigma) from which neighbouring doors may be mistaken for each other."""
 MOST_BEHIND = 0.1
 """Share of the points that fit which may lie on walls that are known from their other side only."""
 QUERY_POINTS = 400
@@ -120,7 +70,7 @@ class Loops:
         self._misses = 0
         self._drift = np.zeros((3, 3))
         self._tried_m = 0.0
-        self._pending: tuple[float, Pose] | None = None
+        self._judge = Judge(config)
         self._closing: Closing | None = None
 
     def step(self, motion: Pose, covariance: Matrix, points: Points, path: Pose) -> Pose | None:
@@ -141,7 +91,7 @@ class Loops:
         self._motions.append(motion)
         step_m = 0.0 if first else float(np.hypot(motion[0], motion[1]))
         self._way_m.append(step_m + (0.0 if first else self.way_m[-1]))
-        self._covariances.append(self._with_drift(covariance, motion, step_m))
+        self._covariances.append(drift_of(covariance, motion, self.points[-1], self.config))
         if first:
             return None
         self._drift = carried(self._drift, motion) + self._covariances.rows[-1]
@@ -191,7 +141,6 @@ class Loops:
         """Return everything as arrays; `restore` takes it back."""
         places = self.places
         closing = {} if self._closing is None else self._closing.state()
-        pending = (np.nan,) * 4 if self._pending is None else (self._pending[0], *self._pending[1])
         return {
             "path": self.path.copy(),
             "points": np.vstack((np.zeros((0, 2)), *self.points)),
@@ -206,7 +155,7 @@ class Loops:
             "drift": self._drift.copy(),
             "flags": np.array((self.linked, self.closures, self._settled, self._misses)),
             "tried_m": np.array(self._tried_m),
-            "pending": np.array(pending),
+            "judge": self._judge.state(),
             **{f"map.{name}": part for name, part in self._map.state().items()},
             **{f"closing.{name}": part for name, part in closing.items()},
         }
@@ -227,18 +176,10 @@ class Loops:
         linked, self.closures, self._settled, self._misses = state["flags"].tolist()
         self.linked = bool(linked)
         self._tried_m = float(state["tried_m"])
-        at_m, *shift = state["pending"].tolist()
-        self._pending = None if np.isnan(at_m) else (at_m, np.array(shift))
+        self._judge.restore(state["judge"])
         self._map.restore({name[4:]: part for name, part in state.items() if name.startswith("map.")})
         closing = {name[8:]: part for name, part in state.items() if name.startswith("closing.")}
         self._closing = Closing.from_state(closing) if closing else None
-
-    def _with_drift(self, covariance: Matrix, motion: Pose, step_m: float) -> Matrix:
-        c = self.config
-        aside = (c.drift * step_m + 0.003) ** 2
-        turn = (c.drift_rad_per_m * (step_m + abs(float(motion[2]))) + 0.001) ** 2
-        # Nothing is known worse than this: the next scans will tell, and the search has its own bounds.
-        return np.asarray(np.minimum(covariance, 4.0) + np.diag((aside, aside, turn)))
 
     def _follow(self, path: Pose) -> None:
         """Take over the path; where its settled part has moved, build the map anew."""
@@ -269,7 +210,8 @@ class Loops:
                 self._relate(fit.map_t_points, self._honest(fit.information, at[2]), DOUBT)
                 self._misses = 0
         if self._misses > PATIENCE:
-            self.linked, self._pending = False, None
+            self.linked = False
+            self._judge.forget()
 
     def _relate(self, map_t_laser: Pose, information: Matrix, doubt: float) -> bool:
         """Add the relation of the newest key scan to the settled key scan nearest to it."""
@@ -299,7 +241,7 @@ class Loops:
         return np.asarray(seen @ information @ seen)
 
     def _due(self) -> bool:
-        every = self.config.try_every_m * (0.5 if self._pending else 1.0)
+        every = self.config.try_every_m * (0.5 if self._judge.waits else 1.0)
         return bool(self.way_m[-1] - self._tried_m > every)
 
     def _ask(self) -> Closing | None:
@@ -338,7 +280,8 @@ class Loops:
         if not self._relate(fit.map_t_points, share * fit.information, 0.0):
             return None
         self.closures += 1
-        self.linked, self._misses, self._pending = True, 0, None
+        self.linked, self._misses = True, 0
+        self._judge.forget()
         self.path = self.smoothed()
         self._map.rebuild(self.points[: self._settled], self.path[: self._settled])
         return self.path.copy()
@@ -348,20 +291,17 @@ class Loops:
         found = closing.found()
         if found is None:
             return None
-        c = self.config
-        place = closing.carried(found.best.map_t_points, self.path)
-        rival = found.rival.score / found.best.score if found.rival else 0.0
-        far = self.away_m() > FAR_M
-        off_by = between(self.path[-1], place)
-        spread = self._drift + np.diag((0.05**2, 0.05**2, 0.01**2))
-        strangeness = off_by @ np.linalg.solve(spread, off_by) / GATE
-        if (
-            rival > (c.far_rival_ratio if far else c.rival_ratio)
-            or found.best.score < c.least_score + (1.0 - c.least_score) * strangeness
-        ):
-            return None
-        risky = far or rival > c.far_rival_ratio
-        return place if not risky or self._confirmed(place) else None
+        finding = Finding(
+            place=closing.carried(found.best.map_t_points, self.path),
+            rival=closing.carried(found.rival.map_t_points, self.path) if found.rival else None,
+            score=found.best.score,
+            rival_ratio=found.rival.score / found.best.score if found.rival else 0.0,
+            at=self.path[-1],
+            drift=self._drift,
+            points=self._recent(),
+            way_m=float(self.way_m[-1]),
+        )
+        return finding.place if self._judge.believes(finding, self._map) else None
 
     def _is_behind_walls(self, map_t_laser: Pose) -> bool:
         """Whether the last metres fit because the walls of one room lie on those of the next one.
@@ -379,29 +319,23 @@ class Loops:
 
     def away_m(self) -> float:
         """How far the path may be off in the direction that is known worst, one sigma."""
-        return float(np.sqrt(np.linalg.eigvalsh(self._drift[:2, :2]).max()))
-
-    def _confirmed(self, place: Pose) -> bool:
-        """Whether the try before, carried on by the path since, found the same place."""
-        before = self._pending
-        shift = compose(place, between(self.path[-1], np.zeros(3)))
-        self._pending = (self._tried_m, shift)
-        if before is None or self._tried_m - before[0] > 3.0 * self.config.try_every_m:
-            return False
-        apart = np.abs(between(compose(before[1], self.path[-1]), place))
-        return bool((apart < (0.3, 0.3, 0.07)).all())
+        return away_m(self._drift)
 
     def _query(self) -> Points:
+        """Choose of the points of the last metres of way so many as a search can take, evenly."""
+        query = self._recent()
+        if len(query) > QUERY_POINTS:
+            query = query[np.linspace(0, len(query) - 1, QUERY_POINTS).astype(np.int64)]
+        return np.ascontiguousarray(query)
+
+    def _recent(self) -> Points:
         """Gather the points of the last metres of way, evenly, in the newest laser frame."""
         first = self._first_asked()
         here = self.path[-1]
         parts = [
             transform(between(here, self.path[k]), self.points[k]) for k in range(first, len(self.points))
         ]
-        query = _thinned(np.vstack(parts), 0.1)
-        if len(query) > QUERY_POINTS:
-            query = query[np.linspace(0, len(query) - 1, QUERY_POINTS).astype(np.int64)]
-        return np.ascontiguousarray(query)
+        return _thinned(np.vstack(parts), 0.1)
 
     def _first_asked(self) -> int:
         """Return the first key scan of the last metres: the more may be off, the more must be recognised."""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.filter import DpSlam
+from processing.dpslam.judging import Judge
 from processing.dpslam.memory import KeyScans
 from processing.dpslam.past import Floats, Past
 from processing.dpslam.population import ARRIVAL, Population
@@ -106,7 +107,7 @@ def _loops(past: Past, config: DpSlamConfig) -> dict[str, NDArray[Any]]:
         "drift": np.diag(ARRIVAL**2),
         "flags": np.array((True, 0, settled, 0)),
         "tried_m": np.array(way_m[-1]),
-        "pending": np.full(4, np.nan),
+        "judge": Judge(config.loops).state(),
         **{f"map.{name}": part for name, part in drawn.state().items()},
     }
 

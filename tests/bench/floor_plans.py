@@ -42,10 +42,23 @@ class _Floor:
     """By corridor along x and column of blocks: places in the rooms, straight behind their open doors."""
 
 
-def floor_plan(seed: int, way_m: float = 200.0) -> Building:
+@dataclass(frozen=True, slots=True)
+class Size:
+    """How wide the corridors are and how far apart: least and most, m."""
+
+    width_m: tuple[float, float]
+    apart_m: tuple[float, float]
+
+
+OFFICES = Size((1.6, 3.0), (8.0, 20.0))
+CAMPUS = Size((1.8, 4.0), (40.0, 110.0))
+"""Corridors of a hundred metres and more, as between the buildings of a university."""
+
+
+def floor_plan(seed: int, way_m: float = 200.0, size: Size = OFFICES) -> Building:
     """Return a floor of two or three corridors each way, and a way through it of at least `way_m`."""
     rng = np.random.default_rng(seed)
-    floor = _Floor(rng, _lanes(rng), _lanes(rng))
+    floor = _Floor(rng, _lanes(rng, size), _lanes(rng, size))
     across, along = floor.across, floor.along
     right, top = along[-1][1], across[-1][1]
     floor.free += [(0.0, low, right, high) for low, high in across]
@@ -69,13 +82,13 @@ def floor_plan(seed: int, way_m: float = 200.0) -> Building:
     )
 
 
-def _lanes(rng: np.random.Generator) -> list[tuple[float, float]]:
+def _lanes(rng: np.random.Generator, size: Size) -> list[tuple[float, float]]:
     """Return the edges of the parallel corridors of one direction."""
     at, lanes = 0.0, []
     for _ in range(rng.integers(2, 4)):
-        width = rng.uniform(1.6, 3.0)
+        width = rng.uniform(*size.width_m)
         lanes.append((at, at + width))
-        at += width + rng.uniform(8.0, 20.0)
+        at += width + rng.uniform(*size.apart_m)
     return lanes
 
 

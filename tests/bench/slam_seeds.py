@@ -7,7 +7,8 @@ position and mean of rotation after the best rigid alignment. A map is good if i
 the course and no single error is above five times that bound or 0.3 m, whichever is greater.
 
 A variation of a log is another log with the same truth: `backwards` (the film from its end, in a mirror),
-`near` (a laser that sees 8 m), `halved` (every second ray). Of a `floor` every seed is another building.
+`near` (a laser that sees 8 m), `halved` (every second ray), `thinned` (every second scan), `later` (from
+its middle on). Of a `floor`, and of a `campus`, every seed is another building.
 """
 
 import argparse
@@ -19,7 +20,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from floor_plans import crowded, floor_plan
+from floor_plans import CAMPUS, crowded, floor_plan
 from odometry_courses import Course, beams_of_laser, logged
 
 from drivers import world
@@ -73,6 +74,13 @@ def _floor(laser: Callable, people: int, bound_m: float, **drive) -> Callable:
         return Drive(scans, bound_m, truth=np.array([pose for *_, pose in records]))
 
     return make
+
+
+def _campus(seed: int) -> Drive:
+    """A long way through long corridors: another building with each seed."""
+    return _simulated(
+        lambda: floor_plan(seed, 1200.0, CAMPUS), 0.2, world.Sick, speed_mps=0.8, turn_rate_radps=1.0
+    )(seed)
 
 
 def _with_relations(course: Course, bound_m: float) -> Drive:
@@ -137,6 +145,24 @@ def _halved(drive: Drive) -> Drive:
     return replace(drive, scans=[Scan(s.stamp_ns, s.ranges_m[::2].copy(), half) for s in drive.scans])
 
 
+def _picked(drive: Drive, kept: np.ndarray) -> Drive:
+    """Leave out all scans but some (K,), and the relations of those that are gone."""
+    number = np.full(len(drive.scans), -1)
+    number[kept] = np.arange(len(kept))
+    pairs = number[drive.pairs]
+    whole = (pairs >= 0).all(axis=1)
+    scans = [drive.scans[index] for index in kept]
+    return replace(drive, scans=scans, pairs=pairs[whole], a_t_b=drive.a_t_b[whole])
+
+
+def _thinned(drive: Drive) -> Drive:
+    return _picked(drive, np.arange(0, len(drive.scans), 2))
+
+
+def _later(drive: Drive) -> Drive:
+    return _picked(drive, np.arange(len(drive.scans) // 2, len(drive.scans)))
+
+
 def _log(name: str, bound_m: float, *changes: Callable) -> Callable:
     def make(_: int) -> Drive | None:
         course = logged(name)
@@ -162,6 +188,11 @@ COURSES: dict[str, Callable[[int], Drive | None]] = {
     "intel near": _log("intel", 0.035, _near),
     "fr079 near": _log("fr079", 0.06, _near),
     "fr079 halved": _log("fr079", 0.06, _halved),
+    "intel halved": _log("intel", 0.035, _halved),
+    "intel thinned": _log("intel", 0.035, _thinned),
+    "fr079 thinned": _log("fr079", 0.06, _thinned),
+    "intel later": _log("intel", 0.035, _later),
+    "fr079 later": _log("fr079", 0.06, _later),
     "demo": _simulated(world.demo_building, 0.1),
     "demo fast": _simulated(world.demo_building, 0.1, speed_mps=0.6),
     "doors 20": _simulated(lambda: world.square_of_corridors(20.0), 0.1),
@@ -179,6 +210,7 @@ COURSES: dict[str, Callable[[int], Drive | None]] = {
     "floor URG": _floor(world.Urg04lx, 0, 0.2, speed_mps=0.4),
     "floor URG, people": _floor(world.Urg04lx, 6, 0.2, speed_mps=0.4),
     "floor spinning": _floor(world.Spinning, 0, 0.1, speed_mps=0.6, turn_rate_radps=1.5),
+    "campus SICK": _campus,
     "pillars": _simulated(lambda: world.pillar_hall(20.0, 12.0), 0.1),
 }
 
