@@ -11,7 +11,7 @@ from PIL import Image
 from drivers import world
 from processing import se2
 from processing.odometry import LaserOdometry, OdometryConfig
-from processing.scan import Beams, Scan
+from processing.scan import Scan
 from runtime.cli import main
 from runtime.clock import Clock
 from runtime.formats.map_server import read_map
@@ -23,13 +23,10 @@ from runtime.nodes import mapper
 from runtime.nodes.convert import motion_to_message, pose_from_message, scan_to_message
 from runtime.port import ListPort
 from runtime.session import read_session, scans_of
+from tests.lasers import beams_of_laser
 
 LASER = world.Urg04lx()
-BEAMS = Beams(
-    count=LASER.beams, angle_min_rad=LASER.angle_min_rad, angle_increment_rad=LASER.angle_increment_rad,
-    time_increment_s=LASER.time_increment_s, period_s=LASER.period_s, range_min_m=LASER.range_min_m,
-    range_max_m=LASER.range_max_m,
-)  # fmt: skip
+BEAMS = beams_of_laser(LASER)
 ROOM = world.room()
 BACK = ROOM.route[[2, 3, 0, 1]]
 

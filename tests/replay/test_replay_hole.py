@@ -9,7 +9,7 @@ import pytest
 
 from drivers.world import Urg04lx, pillar_hall, simulate_scans
 from processing.odometry import Tracking
-from processing.scan import Beams, Scan
+from processing.scan import Scan
 from processing.slam import Slam
 from runtime.bus_memory import MemoryBus
 from runtime.clock import Clock
@@ -24,17 +24,10 @@ from runtime.nodes.convert import motion_to_message, scan_to_message
 from runtime.nodes.log_scans import counted
 from runtime.replay import ReplayConfig
 from runtime.topics import ALL, topic
+from tests.lasers import beams_of_laser
 
 LASER = Urg04lx()
-BEAMS = Beams(
-    count=LASER.beams,
-    angle_min_rad=LASER.angle_min_rad,
-    angle_increment_rad=LASER.angle_increment_rad,
-    time_increment_s=LASER.time_increment_s,
-    period_s=LASER.period_s,
-    range_min_m=LASER.range_min_m,
-    range_max_m=LASER.range_max_m,
-)
+BEAMS = beams_of_laser(LASER)
 SCANS, HOLE = 80, range(50, 60)
 """Ten scans are missing while the robot drives."""
 

@@ -10,18 +10,11 @@ from processing import se2
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.filter import DpSlam
 from processing.motion import Motion, anew_covariance, lost_covariance
-from processing.scan import Beams, Scan
+from processing.scan import Scan
+from tests.lasers import beams_of_laser
 
 LASER = Urg04lx()
-BEAMS = Beams(
-    count=LASER.beams,
-    angle_min_rad=LASER.angle_min_rad,
-    angle_increment_rad=LASER.angle_increment_rad,
-    time_increment_s=LASER.time_increment_s,
-    period_s=LASER.period_s,
-    range_min_m=LASER.range_min_m,
-    range_max_m=LASER.range_max_m,
-)
+BEAMS = beams_of_laser(LASER)
 KNOWN = np.diag((0.01**2, 0.01**2, 0.003**2))
 # The motions of these drives are nearly true: no doubt is laid on them.
 CONFIG = DpSlamConfig(particles=8, close_loops=False, motion_doubt=1.0)

@@ -9,20 +9,13 @@ from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.filter import DpSlam
 from processing.motion import anew_covariance, lost_covariance
 from processing.odometry import LaserOdometry, OdometryConfig
-from processing.scan import Beams, Scan
+from processing.scan import Scan
 from runtime.nodes.mapper import Config, _lost, _Mapper
 from runtime.port import ListPort
+from tests.lasers import beams_of_laser
 
 LASER = Urg04lx()
-BEAMS = Beams(
-    count=LASER.beams,
-    angle_min_rad=LASER.angle_min_rad,
-    angle_increment_rad=LASER.angle_increment_rad,
-    time_increment_s=LASER.time_increment_s,
-    period_s=LASER.period_s,
-    range_min_m=LASER.range_min_m,
-    range_max_m=LASER.range_max_m,
-)
+BEAMS = beams_of_laser(LASER)
 
 
 def test_a_lost_laser_is_told_in_words_and_no_pose_goes_out_until_it_is_found():

@@ -1,5 +1,7 @@
 """A corridor is reported as a corridor: what is not seen keeps the motion, and says how wide it is open."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,8 @@ from drivers.world.generators import corridor, room
 from drivers.world.laser import Urg04lx
 from processing.observability import BLIND_M, SPEED_ERROR_M_S, UNSEEN_SPEED_M_S, Blindness, view
 from processing.odometry import LaserOdometry, OdometryConfig, Tracking
-from processing.scan import Beams, Scan
+from processing.scan import Scan
+from tests.lasers import beams_of_laser
 
 
 def information(deviations, yaw_rad=0.0):
@@ -86,14 +89,7 @@ def test_a_velocity_is_known_the_better_the_longer_it_was_steady_when_the_view_e
 
 def drive(building, most, **options):
     laser = Urg04lx()
-    beams = Beams(
-        count=laser.beams,
-        angle_min_rad=laser.angle_min_rad,
-        angle_increment_rad=laser.angle_increment_rad,
-        time_increment_s=laser.time_increment_s,
-        period_s=laser.period_s,
-        range_max_m=5.6,
-    )
+    beams = replace(beams_of_laser(laser), range_max_m=5.6)
     odometry = LaserOdometry(OdometryConfig(), 1)
     scans = simulate_scans(building, laser=laser, max_scans=most, **options)
     return [odometry.step(Scan(stamp_ns, ranges, beams)) for stamp_ns, ranges, _ in scans]

@@ -4,7 +4,8 @@ import tracemalloc
 
 from drivers.world import Urg04lx, room, simulate_scans
 from processing.odometry import LaserOdometry, OdometryConfig
-from processing.scan import Beams, Scan
+from processing.scan import Scan
+from tests.lasers import beams_of_laser
 
 WARM_UP, STEPS, EVERY = 200, 1000, 250
 
@@ -17,14 +18,7 @@ def held_by_processing():
 
 def test_nothing_that_a_step_allocates_stays():
     laser = Urg04lx()
-    beams = Beams(
-        count=laser.beams,
-        angle_min_rad=laser.angle_min_rad,
-        angle_increment_rad=laser.angle_increment_rad,
-        time_increment_s=laser.time_increment_s,
-        period_s=laser.period_s,
-        range_max_m=laser.range_max_m,
-    )
+    beams = beams_of_laser(laser)
     drive = simulate_scans(room(), laser=laser, speed_mps=0.4, laps=20, max_scans=WARM_UP + STEPS)
     scans = [Scan(stamp_ns, ranges_m, beams) for stamp_ns, ranges_m, _ in drive]
     odometry, held, match = LaserOdometry(OdometryConfig(), 1), [], None

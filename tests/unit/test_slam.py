@@ -11,17 +11,10 @@ from processing.motion import Motion
 from processing.odometry import Tracking
 from processing.scan import Beams, Scan
 from processing.slam import Slam, SlamConfig
+from tests.lasers import beams_of_laser
 
 LASER = Urg04lx()
-BEAMS = Beams(
-    count=LASER.beams,
-    angle_min_rad=LASER.angle_min_rad,
-    angle_increment_rad=LASER.angle_increment_rad,
-    time_increment_s=LASER.time_increment_s,
-    period_s=LASER.period_s,
-    range_min_m=LASER.range_min_m,
-    range_max_m=LASER.range_max_m,
-)
+BEAMS = beams_of_laser(LASER)
 CONFIG = SlamConfig(mapping=DpSlamConfig(particles=10))
 
 
