@@ -12,7 +12,7 @@ Matrix = NDArray[np.float64]
 
 WIDE_RAD = 0.01
 """The deviation of heading that is to it what `WIDE_M` is to the way: more is not seen, less is."""
-FAR_M = 5.0
+FAR_M = 10.0
 """Points farther away than that do not hold the heading any better: the bearings are not that true."""
 MOST_VARIANCE = 4.0
 """Nothing is known worse than this, m^2, rad^2: the next scans will tell, and searches have their bounds."""

@@ -80,7 +80,7 @@ def worst(path, keys):
 
 
 def test_a_loop_takes_the_drift_out_of_the_whole_path(round_the_block):
-    motions = drifting(round_the_block, 0.0015, 0.004)
+    motions = drifting(round_the_block, 0.001, 0.004)
     loops, alone = follow(round_the_block, motions)
     assert worst(alone, round_the_block) > 1.0
     assert loops.closures >= 1
@@ -112,14 +112,14 @@ def test_a_path_without_drift_is_not_bent(round_the_block):
 
 
 def test_the_same_steps_give_the_same_bits(round_the_block):
-    motions = drifting(round_the_block, -0.0015, 0.003)
+    motions = drifting(round_the_block, -0.001, 0.003)
     first, second = (follow(round_the_block, motions)[0].smoothed() for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 
 @pytest.mark.parametrize("cut", [1, 40, 250, 330])
 def test_restored_goes_on_as_if_never_interrupted(round_the_block, cut):
-    motions = drifting(round_the_block, 0.0015, 0.004)
+    motions = drifting(round_the_block, 0.001, 0.004)
     whole, _ = follow(round_the_block, motions)
     part, _ = follow(round_the_block[:cut], motions[:cut])
     again = Loops(LoopConfig())
@@ -132,7 +132,7 @@ def test_restored_goes_on_as_if_never_interrupted(round_the_block, cut):
 
 
 def test_restored_amid_a_search_goes_on_with_it(round_the_block):
-    motions = drifting(round_the_block, 0.0015, 0.004)
+    motions = drifting(round_the_block, 0.001, 0.004)
     whole, _ = follow(round_the_block, motions)
     again, amid = Loops(LoopConfig()), 0
     for k, (points, _) in enumerate(round_the_block):
@@ -149,7 +149,7 @@ def test_restored_amid_a_search_goes_on_with_it(round_the_block):
 
 
 def test_a_search_that_is_under_way_when_the_drive_ends_is_brought_to_its_end(round_the_block):
-    motions = drifting(round_the_block, 0.0015, 0.004)
+    motions = drifting(round_the_block, 0.001, 0.004)
     loops = Loops(LoopConfig())
     for k, (points, _) in enumerate(round_the_block):
         new = np.zeros(3) if k == 0 else compose(loops.path[-1], motions[k])
