@@ -277,11 +277,3 @@ class BusPort:
 def _state_in(values: dict[str, object]) -> str:
     """Return the word for the state that a node is in; what follows it, such as an angle, always changes."""
     return str(values.get("state", "")).partition(" ")[0]
-
-
-if __name__ == "__main__":
-    import sys
-
-    from runtime.process import main
-
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""One node in its own process: `python -m runtime.node NAME --graph FILE --run-dir DIR`.
+"""One node in its own process: `python -m runtime.process NAME --graph FILE --run-dir DIR`.
 
 The process dies with its parent, stops within a second of a signal, and leaves with the exit code of house
 rules; its last line of log says why.
@@ -28,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parent = os.environ.get(PARENT_VARIABLE)
     if parent:
         realtime.die_with_parent(int(parent))
-    parser = argparse.ArgumentParser(prog="runtime.node", description=__doc__)
+    parser = argparse.ArgumentParser(prog="runtime.process", description=__doc__)
     parser.add_argument("name", help="of the node in the graph")
     parser.add_argument("--graph", type=Path, required=True)
     parser.add_argument("--run-dir", type=Path, required=True, help="of the robot's sockets")
@@ -111,3 +111,7 @@ def _run(args: argparse.Namespace, log: logging.Logger) -> int:
 def _is_called() -> bool:
     """Whether a spare process is needed before it has imported anything."""
     return bool(select.select([sys.stdin], [], [], 0.0)[0])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -182,7 +182,7 @@ def commands(
         lines[HUB] += ["--remote", remote, "--robot", graph.robot, "--domain", str(graph.domain)]
     for name in graph.nodes:
         lines[name] = [
-            *(python, "-m", "runtime.node", name, "--graph", str(file), "--run-dir", str(run_dir)),
+            *(python, "-m", "runtime.process", name, "--graph", str(file), "--run-dir", str(run_dir)),
             *("--results-dir", str(results_dir / name), "--robot", graph.robot, "--seed", str(graph.seed)),
         ]
     return lines

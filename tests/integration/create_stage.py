@@ -135,7 +135,7 @@ class Stage:
         def found():
             with contextlib.suppress(psutil.Error):
                 for child in psutil.Process(self.supervisor.pid).children(recursive=True):
-                    if child.cmdline()[1:4] == ["-m", "runtime.node", "base"]:
+                    if child.cmdline()[1:4] == ["-m", "runtime.process", "base"]:
                         return child
             return None
 

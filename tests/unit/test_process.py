@@ -85,7 +85,7 @@ def test_a_pinned_process_stays_on_its_core_with_all_its_threads(tmp_path):
     )
     (tmp_path / "pinned" / "node.py").write_text(textwrap.dedent(text))
     (tmp_path / "g.yaml").write_text(f"nodes: {{a: {{module: pinned.node, cores: [{core}]}}}}")
-    command = [sys.executable, "-m", "runtime.node", "a", "--graph", "g.yaml"]
+    command = [sys.executable, "-m", "runtime.process", "a", "--graph", "g.yaml"]
     command += ["--run-dir", str(tmp_path), "--results-dir", str(tmp_path / "a")]
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
     environment.pop(process.PARENT_VARIABLE, None)
