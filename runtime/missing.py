@@ -11,7 +11,7 @@ from typing import Any
 
 from runtime.formats.mcap_log import McapChannel, McapMessage, McapReader, ReadState
 from runtime.messages import BadMessageError, decode
-from runtime.recording import DISK_FULL, END_RECORD, STATUS_TOPIC, STATUS_TYPE
+from runtime.recording import AS_ASKED, END_RECORD, STATUS_TOPIC, STATUS_TYPE
 from runtime.topics import TOPICS
 
 _LOST = ".lost"
@@ -84,8 +84,9 @@ class Account:
         self.damaged(state.losses(), file)
         last = state.metadata.get(END_RECORD, {})
         self._told = last or self._told
-        if last.get("ended") == DISK_FULL:
-            self.damaged([f"everything after its end, because {DISK_FULL}"], file)
+        ended = last.get("ended", AS_ASKED)
+        if ended != AS_ASKED:
+            self.damaged([f"everything after its end: {ended}"], file)
 
     def damaged(self, words: Collection[str], file: str = "") -> None:
         """Take what else is wrong with a file."""
@@ -134,7 +135,7 @@ class Account:
         if self._told.get("damaged"):
             told.append("the recorder's own account is damaged")
         if (unwritten := _number(self._told.get("unwritten"))) > 0:
-            told.append(f"{unwritten} messages that came when the disk was full")
+            told.append(f"{unwritten} messages that the disk did not take")
         for key, value in self._told.items():
             name = key.removesuffix(_LOST)
             if name == key or (names is not None and name not in names):

@@ -20,6 +20,7 @@ STATUS_TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 END_RECORD = "hallway.end"
 """Metadata at the end of a file: the counts, and why it ended."""
 DISK_FULL = "the disk was full"
+AS_ASKED = "as asked"
 FLUSH_NS = 1_000_000_000
 RING_FILES = 10
 
@@ -214,7 +215,7 @@ class Recording:
 
     def _finish(self, now_ns: int) -> None:
         assert self._writer is not None
-        why = {"ended_ns": str(now_ns), "ended": self.stopped or "as asked"}
+        why = {"ended_ns": str(now_ns), "ended": self.stopped or AS_ASKED}
         self._write_status(self._writer, now_ns)
         self._writer.finish({END_RECORD: {**self._summary(), **why}})
         self._writer = None

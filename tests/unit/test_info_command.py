@@ -74,7 +74,7 @@ def test_a_recording_that_ended_on_a_full_disk_says_so(tmp_path, capsys):
     rec.tick(2 * S, {})
     code, report = info(capsys, tmp_path / "a.mcap")
     assert code == 4
-    assert report["missing"] == ["everything after its end, because the disk was full"]
+    assert report["missing"] == ["everything after its end: the disk was full"]
 
 
 def test_people_get_a_table(tmp_path, capsys):

@@ -100,7 +100,7 @@ def test_whoever_reads_a_recording_gets_the_same_answer(tmp_path):
     path = write(tmp_path / "a.mcap", [(SCAN, n, n / 10, scan(n)) for n in numbers], end)
     told = describe(path)["missing"]
     assert told == [
-        "everything after its end, because the disk was full",
+        "everything after its end: the disk was full",
         "10 messages of /robot/scan, by its sequence numbers",
         "2 more messages of scan that the recorder did not get",
     ]
