@@ -26,6 +26,13 @@ BLIND_SHARE = 1.5
 """What counts as not seen is at least so many times what the motion is uncertain by: from there on a scan
 would hardly change what is expected. A slow laser's scan, a quarter as certain as a fast one's, still tells:
 held to the same limit, a robot that sets out where little is in sight is taken to stand still."""
+UNSEEN_SPEED_M_S = 0.3
+"""How far the velocity along an unseen direction may be off, where none was steady: robots of this kind go no
+faster, and one that sets out, or comes out of a turn, may go on at any of their speeds."""
+SPEED_ERROR_M_S = 0.03
+"""How far it may be off where it was steady for STEADY_S. It keeps its error: that adds up along the way, not
+by chance."""
+STEADY_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,10 +77,11 @@ class Blindness:
     """How long a direction has not been seen, and how far the laser may have strayed along it since."""
 
     def __init__(self) -> None:
-        self._blind_s = self._error_m_s = 0.0
+        self._blind_s = 0.0
+        self._speed_m_s = UNSEEN_SPEED_M_S
 
     def widened(
-        self, covariance: Matrix, unseen: NDArray[np.float64], duration_s: float, error_m_s: float
+        self, covariance: Matrix, unseen: NDArray[np.float64], duration_s: float, steady_s: float
     ) -> Matrix:
         """Return the covariance (3, 3) of the next motion, honestly wide along unseen directions (K, 2).
 
@@ -81,16 +89,16 @@ class Blindness:
             covariance: What the match claims.
             unseen: Unit vectors, on the axes of the covariance.
             duration_s: Time of the motion.
-            error_m_s: How far the velocity may be off with which the laser is taken to go on: what it was
-                when the view ended counts. It keeps its error, which adds up along the way, not by chance.
+            steady_s: For how long the velocity had been steady with which the laser is taken to go on.
         """
         if len(unseen) == 0:
             self._blind_s = 0.0
             return covariance
         if self._blind_s == 0.0:
-            self._error_m_s = error_m_s
+            error_m_s = SPEED_ERROR_M_S * STEADY_S / max(min(steady_s, STEADY_S), 1e-3)
+            self._speed_m_s = min(error_m_s, UNSEEN_SPEED_M_S)
         before_s, self._blind_s = self._blind_s, self._blind_s + duration_s
-        variance = self._error_m_s**2 * (self._blind_s**2 - before_s**2)
+        variance = self._speed_m_s**2 * (self._blind_s**2 - before_s**2)
         seen = np.eye(3)
         seen[:2, :2] -= unseen.T @ unseen
         wide = seen @ covariance @ seen

@@ -306,7 +306,7 @@ class LaserOdometry:
             if self._watch.shaken:
                 covariance = covariance + np.diag(SHAKEN**2)
             covariance = self._blindness.widened(
-                covariance, unseen, self._watch.since_s, self._cruise.error_m_s
+                covariance, unseen, self._watch.since_s, self._cruise.steady_s
             )
         return Motion(
             stamp_ns=scan.stamp_ns,

@@ -27,14 +27,6 @@ TURNING_S = 0.5
 STEADY_M_S = 0.15
 """What the filter's velocity may be off a steady one, if it does not know itself to be worse; farther, and
 the laser has changed its speed."""
-UNSEEN_SPEED_M_S = 0.3
-"""How far the velocity may be off along what is not seen, where it never was: robots of this kind go no
-faster."""
-SPEED_ERROR_M_S = 0.03
-"""How far it may be off where it was steady for so long:"""
-STEADY_S = 2.0
-FASTEST = 90.0
-"""One that was not steady may grow to what it was in the fastest tenth of the last seconds."""
 LEAST_INFORMATION = 1e-6
 """Keeps what is not seen at all finite, 1/m^2 and 1/rad^2."""
 
@@ -124,8 +116,8 @@ class Cruise:
         self._turning = max(1, round(TURNING_S / period_s))
         self._seen: deque[Twist] = deque(maxlen=self._counts[0])
         self._held: NDArray[np.float64] | None = None
-        self.error_m_s = UNSEEN_SPEED_M_S
-        """How far the velocity last returned may be off."""
+        self.steady_s = 0.0
+        """For how long the velocity last returned had been steady; 0 if it was not."""
 
     def see(self, motion: Pose, duration_s: float) -> None:
         """Take in a motion (3,) of which every direction was seen."""
@@ -150,18 +142,8 @@ class Cruise:
             means = ((window.mean(axis=0), len(window)) for window in windows if _is_even(window))
             steady = ((mean, count) for mean, count in means if np.hypot(*(mean - twist[:2])) < off_m_s)
             self._held, count = next(steady, (twist[:2].copy(), 0))
-            self.error_m_s = self._error_m_s(self._held, count * self._period_s)
+            self.steady_s = count * self._period_s
         return self._held
-
-    def _error_m_s(self, held: NDArray[np.float64], steady_s: float) -> float:
-        """Return how far a velocity (2,) may be off that had been steady for so long."""
-        if steady_s >= STEADY_S:
-            return SPEED_ERROR_M_S
-        if not self._seen:
-            return UNSEEN_SPEED_M_S
-        speeds = np.hypot(*np.array(self._seen)[:, :2].T)
-        faster = float(np.percentile(speeds, FASTEST) - np.hypot(held[0], held[1]))
-        return min(max(faster, SPEED_ERROR_M_S), UNSEEN_SPEED_M_S)
 
     def _straight(self, twists: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the velocities (M, 2) since the last turn, of the shortest time at least."""

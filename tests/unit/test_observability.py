@@ -8,7 +8,7 @@ import pytest
 from drivers.world.drive import simulate_scans
 from drivers.world.generators import corridor, room
 from drivers.world.laser import Urg04lx
-from processing.observability import BLIND_M, Blindness, view
+from processing.observability import BLIND_M, SPEED_ERROR_M_S, UNSEEN_SPEED_M_S, Blindness, view
 from processing.odometry import LaserOdometry, OdometryConfig, Tracking
 from processing.scan import Scan
 from tests.lasers import beams_of_laser
@@ -55,29 +55,36 @@ def test_the_motion_is_held_along_the_corridor_and_corrected_across_it():
 
 
 def test_the_covariance_is_wide_along_and_only_along():
-    wide = Blindness().widened(np.diag((1e-5, 2e-5, 1e-6)), np.array(((0.0, 1.0),)), 0.1, 0.3)
+    wide = Blindness().widened(np.diag((1e-5, 2e-5, 1e-6)), np.array(((0.0, 1.0),)), 0.1, 0.0)
     assert wide[0, 0] == pytest.approx(1e-5)
-    assert wide[1, 1] == pytest.approx((0.1 * 0.3) ** 2)
+    assert wide[1, 1] == pytest.approx((0.1 * UNSEEN_SPEED_M_S) ** 2)
     assert wide[2, 2] == pytest.approx(1e-6)
 
 
 def test_an_error_of_the_velocity_adds_up_along_the_way_until_it_is_seen_again():
     exact, along, none = np.zeros((3, 3)), np.array(((1.0, 0.0),)), np.zeros((0, 2))
     blindness = Blindness()
-    strayed = [sum(blindness.widened(exact, along, 0.1, 0.3)[0, 0] for _ in range(30)) for _ in range(2)]
+    strayed = [sum(blindness.widened(exact, along, 0.1, 0.0)[0, 0] for _ in range(30)) for _ in range(2)]
     # Three seconds of it, and twice as far after six.
-    assert np.sqrt(strayed[0]) == pytest.approx(3.0 * 0.3)
-    assert np.sqrt(sum(strayed)) == pytest.approx(6.0 * 0.3)
-    np.testing.assert_array_equal(blindness.widened(exact, none, 0.1, 0.03), exact)
+    assert np.sqrt(strayed[0]) == pytest.approx(3.0 * UNSEEN_SPEED_M_S)
+    assert np.sqrt(sum(strayed)) == pytest.approx(6.0 * UNSEEN_SPEED_M_S)
+    np.testing.assert_array_equal(blindness.widened(exact, none, 0.1, 8.0), exact)
     # Once it was seen for a while it is known better, and a blink costs nearly nothing.
-    assert np.sqrt(blindness.widened(exact, along, 0.1, 0.03)[0, 0]) == pytest.approx(0.1 * 0.03)
+    assert np.sqrt(blindness.widened(exact, along, 0.1, 8.0)[0, 0]) == pytest.approx(0.1 * SPEED_ERROR_M_S)
 
 
-def test_how_well_the_velocity_was_known_when_the_view_ended_counts():
-    exact, along, blindness = np.zeros((3, 3)), np.array(((1.0, 0.0),)), Blindness()
-    first, second = (np.sqrt(blindness.widened(exact, along, 1.0, error)[0, 0]) for error in (0.03, 0.3))
-    assert first == pytest.approx(0.03)
-    assert second == pytest.approx(np.sqrt(3.0) * 0.03)
+def test_a_velocity_is_known_the_better_the_longer_it_was_steady_when_the_view_ended():
+    exact, along = np.zeros((3, 3)), np.array(((1.0, 0.0),))
+    strayed_m = [
+        np.sqrt(Blindness().widened(exact, along, 1.0, steady_s)[0, 0])
+        for steady_s in (0.0, 0.5, 1.0, 2.0, 8.0)
+    ]
+    assert strayed_m == pytest.approx((UNSEEN_SPEED_M_S, 0.12, 0.06, SPEED_ERROR_M_S, SPEED_ERROR_M_S))
+    # How long it had been so when the view ended counts, and not what is made of it since.
+    blindness = Blindness()
+    first, second = (np.sqrt(blindness.widened(exact, along, 1.0, steady_s)[0, 0]) for steady_s in (2.0, 0.0))
+    assert first == pytest.approx(SPEED_ERROR_M_S)
+    assert second == pytest.approx(np.sqrt(3.0) * SPEED_ERROR_M_S)
 
 
 def drive(building, most, **options):

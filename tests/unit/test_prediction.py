@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from processing.prediction import (
-    SPEED_ERROR_M_S,
-    UNSEEN_SPEED_M_S,
     ConstantVelocity,
     Cruise,
     PredictionConfig,
@@ -239,7 +237,7 @@ def test_a_steady_velocity_is_the_mean_of_the_longest_time_that_agrees_with_the_
     held = cruise.velocity(twist, 0.1)
     # A half second of it would be off by 0.02.
     assert held[0] == pytest.approx(0.3, abs=0.01)
-    assert cruise.error_m_s == SPEED_ERROR_M_S
+    assert cruise.steady_s == pytest.approx(8.0, abs=0.2)
     # It stays until everything is seen again, whatever the filter makes of it.
     assert cruise.velocity(np.array((0.0, 0.0, 0.0)), 0.1) is held
 
@@ -272,8 +270,7 @@ def test_who_comes_out_of_a_turn_goes_on_as_straight_on_and_not_as_in_the_turn()
     for _ in range(10):
         cruise.see(exponential(0.1 * np.array((0.28, 0.0, 0.8))), 0.1)
     assert cruise.velocity(np.array((0.28, 0.0, 0.8)), 0.1)[0] == pytest.approx(0.28, abs=1e-3)
-    # Nor was it ever faster.
-    assert cruise.error_m_s == SPEED_ERROR_M_S
+    assert cruise.steady_s <= 0.5
 
 
 def test_a_velocity_that_grows_is_that_of_the_last_moments():
@@ -282,22 +279,13 @@ def test_a_velocity_that_grows_is_that_of_the_last_moments():
         cruise.see(exponential(np.array((0.1 * speed, 0.0, 0.0))), 0.1)
     # Half of eight seconds of it would be 0.2.
     assert cruise.velocity(np.array((0.4, 0.0, 0.0)), 0.1)[0] == pytest.approx(0.4, abs=0.05)
-
-
-def test_a_velocity_that_was_not_steady_may_grow_to_what_it_was_a_moment_ago():
-    cruise = Cruise(0.1)
-    assert cruise.error_m_s == UNSEEN_SPEED_M_S
-    # It slows down for a turn, and sets out again.
-    for speed, turn_rate in ((0.4, 0.0),) * 40 + ((0.1, 1.0),) * 20 + ((0.2, 0.0),) * 3:
-        cruise.see(exponential(0.1 * np.array((speed, 0.0, turn_rate))), 0.1)
-    held = cruise.velocity(np.array((0.2, 0.0, 0.0)), 0.1)
-    assert held[0] == pytest.approx(0.2, abs=0.01)
-    assert cruise.error_m_s == pytest.approx(0.2, abs=0.02)
-    # Once it has gone on so for a while it is steady.
-    for _ in range(30):
-        cruise.see(exponential(np.array((0.02, 0.0, 0.0))), 0.1)
-    cruise.velocity(np.array((0.2, 0.0, 0.0)), 0.1)
-    assert cruise.error_m_s == SPEED_ERROR_M_S
+    assert cruise.steady_s <= 1.0
+    # Faster than a velocity can be called steady in any time.
+    hasty = Cruise(0.1)
+    for speed in (0.0, 0.2, 0.4, 0.6):
+        hasty.see(exponential(np.array((0.1 * speed, 0.0, 0.0))), 0.1)
+    assert hasty.velocity(np.array((0.8, 0.0, 0.0)), 0.1)[0] == pytest.approx(0.8)
+    assert hasty.steady_s == 0.0
 
 
 def test_the_filter_takes_up_a_velocity_along_what_is_not_seen_only():
