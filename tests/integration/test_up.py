@@ -223,7 +223,7 @@ def test_a_process_that_is_killed_comes_back_and_the_run_goes_on(desk):
     pid = next(
         int(pid)
         for pid in desk.left()
-        if b"runtime.node\0source\0" in Path(f"/proc/{pid}/cmdline").read_bytes()
+        if b"runtime.process\0source\0" in Path(f"/proc/{pid}/cmdline").read_bytes()
     )
     os.kill(pid, signal.SIGKILL)
     out, err = desk.ended(process, within_s=40)
