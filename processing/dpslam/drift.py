@@ -12,7 +12,7 @@ Matrix = NDArray[np.float64]
 
 WIDE_RAD = 0.01
 """The deviation of heading that is to it what `WIDE_M` is to the way: more is not seen, less is."""
-FAR_M = 10.0
+STEADYING_M = 10.0
 """Points farther away than that do not hold the heading any better: the bearings are not that true."""
 MOST_VARIANCE = 4.0
 """Nothing is known worse than this, m^2, rad^2: the next scans will tell, and searches have their bounds."""
@@ -36,7 +36,7 @@ def drift_of(covariance: Matrix, motion: Pose, points: Points, config: LoopConfi
     aside_m = config.drift * step_m + 0.003
     turn_rad = config.drift_rad_per_m * step_m + 0.001
     if reach_m > 0.0:
-        turn_rad = min(turn_rad, aside_m / min(reach_m, FAR_M))
+        turn_rad = min(turn_rad, aside_m / min(reach_m, STEADYING_M))
     turn_rad += config.drift_rad_per_m * abs(float(motion[2]))
     claimed = np.minimum(covariance, MOST_VARIANCE)
     along, axes = np.linalg.eigh(claimed[:2, :2])

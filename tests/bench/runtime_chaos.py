@@ -23,7 +23,6 @@ import json
 import os
 import random
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -31,6 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from robot_run import started
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
@@ -145,19 +145,8 @@ def main():
     parser.add_argument("--fifo", action="store_true", help="with the real-time scheduler, as on a robot")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="hw", dir=MEMORY) as folder:
-        environment = {**os.environ, "HALLWAY_RUN": f"{folder}/run", "PYTHONPATH": str(ROOT)}
         file = prepared(args.fifo, Path(folder))
-        command = [
-            sys.executable,
-            "-m",
-            "runtime.cli",
-            "up",
-            str(file),
-            "--headless",
-            "--out",
-            f"{folder}/res",
-        ]
-        with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, cwd=ROOT) as up:
+        with started(file, folder, "--headless") as up:
             try:
                 blows = rage(Path(folder) / "run" / "robot", args)
             finally:

@@ -13,13 +13,13 @@ import argparse
 import json
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
+from robot_run import started
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
@@ -41,18 +41,7 @@ def main():
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="hw") as folder:
         file = prepared(args, Path(folder))
-        environment = {**os.environ, "HALLWAY_RUN": f"{folder}/run", "PYTHONPATH": str(ROOT)}
-        command = [
-            sys.executable,
-            "-m",
-            "runtime.cli",
-            "up",
-            str(file),
-            "--headless",
-            "--out",
-            f"{folder}/res",
-        ]
-        with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, cwd=ROOT) as up:
+        with started(file, folder, "--headless") as up:
             try:
                 published = watch(Path(folder) / "run" / "robot", args.seconds)
             finally:

@@ -19,7 +19,6 @@ import argparse
 import json
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import threading
@@ -27,6 +26,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from robot_run import started
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
@@ -81,11 +81,8 @@ def main():
         data["nodes"] |= {name: EXTRA[name] for name in args.extra}
         file = Path(folder) / "soak.yaml"
         file.write_text(config.to_yaml(data))
-        environment = {**os.environ, "HALLWAY_RUN": f"{folder}/run", "PYTHONPATH": str(ROOT)}
-        command = [sys.executable, "-m", "runtime.cli", "up", str(file), "--out", f"{folder}/res"]
-        if "viewer" not in args.extra:
-            command.append("--headless")
-        with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, cwd=ROOT) as up:
+        options = [] if "viewer" in args.extra else ["--headless"]
+        with started(file, folder, *options) as up:
             try:
                 watch = Watch(Path(folder) / "run" / "robot", up.pid, args)
             finally:

@@ -12,6 +12,13 @@ SECOND_NS = 1_000_000_000
 
 
 def bench(name):
+    # A bench is run from its folder, and finds its neighbours there.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(BENCH)
+        return _loaded(name)
+
+
+def _loaded(name):
     spec = importlib.util.spec_from_file_location(f"bench_{name}", BENCH / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

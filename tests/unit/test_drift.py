@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from processing.dpslam.drift import FAR_M, MOST_VARIANCE, drift_of
+from processing.dpslam.drift import MOST_VARIANCE, STEADYING_M, drift_of
 from processing.dpslam.loop_config import LoopConfig
 
 AHEAD = np.array((0.25, 0.0, 0.0))
@@ -43,11 +43,11 @@ def test_far_points_hold_the_heading():
     near, far, none = (
         deviations(np.zeros((3, 3)), points)[2] for points in (around(1.0), around(20.0), np.zeros((0, 2)))
     )
-    assert far == pytest.approx((0.01 * 0.25 + 0.003) / FAR_M)
+    assert far == pytest.approx((0.01 * 0.25 + 0.003) / STEADYING_M)
     assert near == none > 1.5 * far
     # A turn is known to a share of itself, whatever is in sight.
     turned = deviations(np.zeros((3, 3)), around(20.0), np.array((0.0, 0.0, 0.5)))[2]
-    assert turned == pytest.approx(0.003 / FAR_M + 0.004 * 0.5)
+    assert turned == pytest.approx(0.003 / STEADYING_M + 0.004 * 0.5)
 
 
 def test_a_motion_of_which_nothing_is_known_does_not_open_the_whole_world():
