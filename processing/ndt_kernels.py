@@ -11,7 +11,8 @@ Layout of the arrays, all preallocated by `processing.ndt.Ndt`:
     `tiles`;
         -1 is empty, -2 (blocks) holds too few points.
     normals (K, 5): mean x, y; inverse covariance xx, xy, yy, of a block.
-    tiles (K, 16) f4: the point score sampled at 4 x 4 places of a half cell, row by row.
+    tiles (K, 16) f4: the point score sampled at 4 x 4 places of a half cell, row by row; the last row stays
+        0, and is what -1 counts from the end: a half cell without a tile needs no branch.
 """
 
 import numpy as np
@@ -24,6 +25,8 @@ THINNEST = 1e-6
 SIDE = 4
 """Samples of the score field along the side of a half cell; a tile is one cache line."""
 
+# Unsigned, so that no index is looked at for being negative.
+_TWO, _THREE = np.uint64(2), np.uint64(3)
 _EXP_STEPS = 32
 _EXP_END = 12.0
 _EXP = np.exp(-0.5 * np.arange(0.0, _EXP_END, 1.0 / _EXP_STEPS)).astype(np.float32)
@@ -186,7 +189,7 @@ def sample_tiles(origin, slots, normals, blocks, tiles, tile_places, blur, count
             continue
         for row in range(blocks[k, 0], blocks[k, 0] + 2):
             for col in range(blocks[k, 1], blocks[k, 1] + 2):
-                if slots[2, row, col] != -1 or used == tiles.shape[0]:
+                if slots[2, row, col] != -1 or used == tiles.shape[0] - 1:
                     continue
                 slots[2, row, col] = used
                 tile_places[used, 0] = row
@@ -237,8 +240,8 @@ def clear(slots, places, blocks, tile_places, counts):
 @njit("f8(f8[:,::1], f8[::1], i4[:,:,::1], f4[:,::1], f8, f8, f8)", cache=True, nogil=True)
 def sampled_score(points, origin, slots, tiles, x, y, yaw):
     """Sum of the sampled point scores of points (N, 2) moved to a pose; 0 for a point off the map."""
-    rows, cols = slots.shape[1], slots.shape[2]
     scale = origin[2] * 4
+    width, height = 4.0 * slots.shape[2], 4.0 * slots.shape[1]
     c, s = np.cos(yaw) * scale, np.sin(yaw) * scale
     tx, ty = (x - origin[0]) * scale, (y - origin[1]) * scale
     total = 0.0
@@ -246,13 +249,10 @@ def sampled_score(points, origin, slots, tiles, x, y, yaw):
         px, py = points[k, 0], points[k, 1]
         u = c * px - s * py + tx
         v = s * px + c * py + ty
-        if u >= 0.0 and v >= 0.0:
-            i, j = int(u), int(v)
-            col, row = i >> 2, j >> 2
-            if row < rows and col < cols:
-                slot = slots[2, row, col]
-                if slot >= 0:
-                    total += tiles[slot, ((j & 3) << 2) | (i & 3)]
+        if 0.0 <= u < width and 0.0 <= v < height:
+            i, j = np.uint64(np.int64(u)), np.uint64(np.int64(v))
+            slot = slots[2, j >> _TWO, i >> _TWO]
+            total += tiles[slot, ((j & _THREE) << _TWO) | (i & _THREE)]
     return total
 
 

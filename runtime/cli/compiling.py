@@ -4,6 +4,7 @@ Importing a module of `processing` compiles its loops if numba finds no compiled
 the processes of a robot is compiled by several of them at once, each all of it.
 """
 
+import contextlib
 import hashlib
 import importlib
 import importlib.util
@@ -54,7 +55,7 @@ def compile_all(environment: Mapping[str, str], say: Callable[[str], None]) -> N
         environment: Of the processes that will need the loops; says where numba keeps them.
         say: Takes a line for people.
     """
-    chains = [(cost, tuple(m for m in chain if not _compiled(m, environment))) for cost, chain in CHAINS]
+    chains = [(cost, _outdated(chain, environment)) for cost, chain in CHAINS]
     total = sum(len(chain) for _, chain in chains)
     if total == 0:
         return
@@ -104,14 +105,27 @@ def share(chains: list[tuple[float, tuple[str, ...]]], workers: int) -> list[lis
     return [names for _, names in heaps]
 
 
-def _compiled(module: str, environment: Mapping[str, str]) -> bool:
-    """Whether numba has something on disk that is newer than the module."""
+def _outdated(chain: tuple[str, ...], environment: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the modules of a chain that are to be compiled: never were, or before something that they use.
+
+    numba looks at a module's own source alone; a loop with an older callee inside would stay, so its index
+    goes.
+    """
     spec = importlib.util.find_spec("processing")
     if spec is None or not spec.submodule_search_locations:
-        return True
-    source = Path(spec.submodule_search_locations[0], *module.split(".")).with_suffix(".py")
-    since = source.stat().st_mtime
-    return any(index.stat().st_mtime >= since for index in _indices(source, environment))
+        return ()
+    root, newest, outdated = Path(spec.submodule_search_locations[0]), 0.0, []
+    for module in chain:
+        source = root.joinpath(*module.split(".")).with_suffix(".py")
+        newest = max(newest, source.stat().st_mtime)
+        indices = list(_indices(source, environment))
+        old = [index for index in indices if index.stat().st_mtime < newest]
+        for index in old:
+            with contextlib.suppress(OSError):
+                index.unlink()
+        if old or not indices:
+            outdated.append(module)
+    return tuple(outdated)
 
 
 def _indices(source: Path, environment: Mapping[str, str]) -> Iterator[Path]:

@@ -66,7 +66,7 @@ def test_loops_count_as_compiled_only_where_numba_will_look_for_them(tmp_path, m
     beside, elsewhere = source.parent / "__pycache__", tmp_path / "cache"
 
     def compiled(**environment):
-        return compiling._compiled("evolution_kernels", environment)
+        return not compiling._outdated(("evolution_kernels",), environment)
 
     def put(folder, name=f"evolution_kernels.mutate-12.{python}.nbi"):
         folder.mkdir(parents=True, exist_ok=True)
@@ -81,6 +81,24 @@ def test_loops_count_as_compiled_only_where_numba_will_look_for_them(tmp_path, m
     assert not compiled(NUMBA_CACHE_DIR=str(elsewhere))
     put(elsewhere / _CacheLocator.get_suitable_cache_subpath(str(source)))
     assert compiled(NUMBA_CACHE_DIR=str(elsewhere))
+
+
+def test_what_was_compiled_before_a_loop_that_it_uses_is_compiled_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(compiling.importlib.util, "find_spec", lambda name: _Spec(tmp_path / name))
+    python = f"py{sys.version_info.major}{sys.version_info.minor}"
+    beside = tmp_path / "processing" / "__pycache__"
+    beside.mkdir(parents=True)
+    chain = ("ndt_kernels", "matching_kernels")
+    for age_s, module in zip((200, 100), chain, strict=True):
+        source, index = beside.parent / f"{module}.py", beside / f"{module}.loop-12.{python}.nbi"
+        for file in (source, index):
+            file.touch()
+            os.utime(file, (1e9 - age_s, 1e9 - age_s))
+    assert compiling._outdated(chain, {}) == ()
+    # An upgrade brings the callee alone; numba would not see that its caller has the old one inside.
+    os.utime(beside.parent / "ndt_kernels.py", (1e9, 1e9))
+    assert compiling._outdated(chain, {}) == chain
+    assert not list(beside.glob("*.nbi"))
 
 
 class _Spec:
