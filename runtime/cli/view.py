@@ -68,13 +68,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show_robot(args: argparse.Namespace, config: "Config", folder: Path, asked: list[int]) -> int:
-    from runtime import gate, rundir
-    from runtime.bus_zenoh import ZenohBus
+    from runtime import rundir
+    from runtime.access import gate
+    from runtime.bus.offset import Follower
+    from runtime.bus.zenoh_bus import ZenohBus
     from runtime.clock import Clock
-    from runtime.node import BusPort
     from runtime.nodes import viewer
     from runtime.nodes.viewer_scene import SUBSCRIBES
-    from runtime.offset import Follower
+    from runtime.process.node import BusPort
 
     session = _session(args.robot, args.connect)
     presence = rundir.Presence(args.robot)
@@ -118,8 +119,8 @@ def _session(robot: str, address: str | None) -> dict[str, Any]:
     """Return how to reach a robot: on this machine, or paired with it, perhaps at another address."""
     from dataclasses import replace
 
-    from runtime import gate
-    from runtime.keys import paired
+    from runtime.access import gate
+    from runtime.access.keys import paired
 
     if address is None:
         return gate.visit(robot)

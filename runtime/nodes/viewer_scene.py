@@ -17,13 +17,13 @@ from processing.motion import Motion
 from processing.scan import Scan, end_points
 from processing.se2 import Pose, compose, transform
 from runtime import messages
-from runtime.health import LEVELS, Vital, make_room
 from runtime.messages import BadMessageError
 from runtime.nodes.convert import motion_from_message, pose_from_message, scan_from_message
 from runtime.nodes.viewer_shapes import cloud_points, outline, shrunk, unseen
 from runtime.nodes.viewer_words import BUMPS, STARTING, Base, words_of
 from runtime.port import Received
-from runtime.status import MATCHER, status_of
+from runtime.process.health import LEVELS, Vital, make_room
+from runtime.process.status import MATCHER, status_of
 
 Points = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from runtime.errors import ConfigError, HallwayError
-from runtime.realtime import die_with_parent
+from runtime.process.realtime import die_with_parent
 
 START_S = 20.0
 _HOST = "127.0.0.1"

@@ -12,13 +12,13 @@ from PIL import Image
 from processing.motion import Motion
 from processing.se2 import Pose, between
 from runtime import messages
+from runtime.bus.pulling import grid_message
 from runtime.formats.map_server import FREE, OCCUPIED
+from runtime.formats.session import SCAN_TYPE, Parts, Session, scans_of
 from runtime.formats.tum import kept_ns, read_tum
 from runtime.messages import decode
 from runtime.nodes.convert import motion_to_message, pose_to_message
 from runtime.port import Received
-from runtime.pulling import grid_message
-from runtime.session import SCAN_TYPE, Parts, Session, scans_of
 from runtime.tiles import Picture
 
 _LONGEST_NS = 1_000_000_000

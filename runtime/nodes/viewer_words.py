@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from runtime.status import Status
+from runtime.process.status import Status
 
 STARTING = "STARTING"
 """The word before the first match."""

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from runtime.bus_memory import MemoryBus
-from runtime.node import BusPort
+from runtime.bus.memory import MemoryBus
 from runtime.nodes import viewer, viewer_scene, viewer_server
 from runtime.nodes.viewer_painter import WAITING_MAX, Painter
+from runtime.process.node import BusPort
 
 
 def load(name):

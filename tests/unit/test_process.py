@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from runtime import process
+from runtime.process import __main__ as process
+from runtime.process.realtime import PARENT_VARIABLE
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -31,9 +32,9 @@ def stages(tmp_path, monkeypatch):
     (tmp_path / "spare_nodes" / "idle.py").write_text(textwrap.dedent(NODE))
     (tmp_path / "g.yaml").write_text("nodes: {a: {module: spare_nodes.idle}}")
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delenv(process.PARENT_VARIABLE, raising=False)
-    monkeypatch.setattr("runtime.process.signal.signal", lambda *_: None)
-    monkeypatch.setattr("runtime.process.realtime.schedule", lambda *_, **__: None)
+    monkeypatch.delenv(PARENT_VARIABLE, raising=False)
+    monkeypatch.setattr("runtime.process.__main__.signal.signal", lambda *_: None)
+    monkeypatch.setattr("runtime.process.__main__.realtime.schedule", lambda *_, **__: None)
 
     def run(called):
         steps = []
@@ -44,9 +45,9 @@ def stages(tmp_path, monkeypatch):
             os.write(writing, b"go\n")  # only now
             return True
 
-        monkeypatch.setattr("runtime.process.realtime.step_aside", step_aside)
+        monkeypatch.setattr("runtime.process.__main__.realtime.step_aside", step_aside)
         monkeypatch.setattr(
-            "runtime.process.realtime.step_forward", lambda pid, like: steps.append("forward")
+            "runtime.process.__main__.realtime.step_forward", lambda pid, like: steps.append("forward")
         )
         if called:
             os.write(writing, b"go\n")
@@ -88,7 +89,7 @@ def test_a_pinned_process_stays_on_its_core_with_all_its_threads(tmp_path):
     command = [sys.executable, "-m", "runtime.process", "a", "--graph", "g.yaml"]
     command += ["--run-dir", str(tmp_path), "--results-dir", str(tmp_path / "a")]
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"}
-    environment.pop(process.PARENT_VARIABLE, None)
+    environment.pop(PARENT_VARIABLE, None)
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert json.loads((tmp_path / "a" / "cores.json").read_text()) == [[core], [core]]
