@@ -26,7 +26,7 @@ sys.path.insert(0, str(ROOT))
 from runtime import messages  # noqa: E402
 from runtime.bus import links  # noqa: E402
 from runtime.bus.zenoh_bus import ZenohBus  # noqa: E402
-from runtime.nodes.viewer_scene import SUBSCRIBES  # noqa: E402
+from runtime.nodes.viewing.scene import SUBSCRIBES  # noqa: E402
 from runtime.topics import TOPICS  # noqa: E402
 
 STREAMS = {  # Hz and bytes, as `hallway info` finds them in a recording of a minute of the demo

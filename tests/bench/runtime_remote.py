@@ -63,7 +63,7 @@ def key(name):
 
 def guest(sessions):
     """Look with some sessions; answer each line on stdin by what was seen since the last."""
-    from runtime.nodes.viewer_scene import SUBSCRIBES
+    from runtime.nodes.viewing.scene import SUBSCRIBES
     from runtime.process.node import BusPort
 
     with contextlib.ExitStack() as stack:

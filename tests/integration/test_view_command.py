@@ -13,7 +13,7 @@ import pytest
 from runtime import messages
 from runtime.cli import main
 from runtime.formats.mcap_log import McapChannel
-from runtime.nodes import viewer_server
+from runtime.nodes.viewing import server as viewer_server
 from runtime.recordings.recording import Recording, RecordingConfig
 from runtime.topics import topic
 

@@ -15,7 +15,7 @@ from runtime.bus.pulling import Puller
 from runtime.clock import ManualClock
 from runtime.nodes import map_teller
 from runtime.nodes.map_teller import MapTeller
-from runtime.nodes.viewer_scene import Scene
+from runtime.nodes.viewing.scene import Scene
 from runtime.port import ListPort, Received
 from runtime.process.node import BusPort
 from runtime.tiles import TILE

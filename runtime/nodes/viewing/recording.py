@@ -9,8 +9,8 @@ from runtime.formats.errors import FormatError
 from runtime.formats.mcap_log import McapMessage, McapReader
 from runtime.formats.session import CutSessionError, Session, read_session, scans_of
 from runtime.messages import BadMessageError, decode
-from runtime.nodes.viewer_scene import SUBSCRIBES, Canvas, Scene
-from runtime.nodes.viewer_session import told
+from runtime.nodes.viewing.scene import SUBSCRIBES, Canvas, Scene
+from runtime.nodes.viewing.session import told
 from runtime.port import Received
 from runtime.topics import TOPICS
 

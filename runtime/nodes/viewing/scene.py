@@ -19,8 +19,8 @@ from processing.se2 import Pose, compose, transform
 from runtime import messages
 from runtime.messages import BadMessageError
 from runtime.nodes.convert import motion_from_message, pose_from_message, scan_from_message
-from runtime.nodes.viewer_shapes import cloud_points, outline, shrunk, unseen
-from runtime.nodes.viewer_words import BUMPS, STARTING, Base, words_of
+from runtime.nodes.viewing.shapes import cloud_points, outline, shrunk, unseen
+from runtime.nodes.viewing.words import BUMPS, STARTING, Base, words_of
 from runtime.port import Received
 from runtime.process.health import LEVELS, Vital, make_room
 from runtime.process.status import MATCHER, status_of
@@ -59,7 +59,7 @@ NODES_MAX = 64
 
 
 class Canvas(Protocol):
-    """What the scene draws on; see `viewer_screen.Screen`."""
+    """What the scene draws on; see `viewing.screen.Screen`."""
 
     def at(self, stamp_ns: int) -> None: ...  # noqa: D102
     def grid(self, cells: NDArray[np.int8], resolution_m: float, origin_m: tuple[float, float]) -> None: ...  # noqa: D102

@@ -12,7 +12,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from runtime.nodes.viewer_words import STARTING
+from runtime.nodes.viewing.words import STARTING
 
 TIMELINE = "time"
 BACKGROUND = 229
