@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from runtime import messages
-from runtime.nodes import viewer_scene, viewer_shapes
 from runtime.nodes.convert import transform_to_message
+from runtime.nodes.viewing import scene as viewer_scene
+from runtime.nodes.viewing import shapes as viewer_shapes
 from runtime.nodes.viewing.scene import Scene
 
 _spec = importlib.util.spec_from_file_location("viewer_story", Path(__file__).with_name("viewer_story.py"))
