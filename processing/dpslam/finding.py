@@ -25,6 +25,7 @@ from processing.dpslam.relocation import (
     walls_of,
 )
 from processing.dpslam.sweep import Sweep
+from processing.dpslam.thinning import picked, thinned
 from processing.ndt import extent
 from processing.se2 import Pose
 
@@ -235,9 +236,4 @@ def _question(parts: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Thin the points of a stretch evenly; what is out of sight of the newest place is left out."""
     points = np.vstack((np.zeros((0, 2)), *parts))
     points = points[np.hypot(points[:, 0], points[:, 1]) < SIGHT_M]
-    cells = np.floor(points / GRAIN_M).astype(np.int64)
-    _, first = np.unique(cells[:, 0] * 2_000_003 + cells[:, 1], return_index=True)
-    points = points[first]
-    if len(points) > QUERY_POINTS:
-        points = points[np.linspace(0, len(points) - 1, QUERY_POINTS).astype(np.int64)]
-    return np.ascontiguousarray(points)
+    return picked(thinned(points, GRAIN_M), QUERY_POINTS)

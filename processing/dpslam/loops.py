@@ -22,6 +22,7 @@ from processing.dpslam.loop_config import LoopConfig
 from processing.dpslam.places import Places
 from processing.dpslam.proposal import WIDE_M
 from processing.dpslam.settled import SettledMap
+from processing.dpslam.thinning import picked, thinned
 from processing.growing import Growing
 from processing.motion import carried
 from processing.ndt import Points
@@ -257,19 +258,20 @@ class Loops:
         near = np.flatnonzero(off < reach_m + c.reach_m)
         cloud = np.vstack([transform(settled[k], self.points[k]) for k in near])
         cloud = cloud[(np.abs(cloud - at[:2]) < reach_m + c.reach_m + 5.0).all(axis=1)]
-        query = self._query()
+        query = picked(self._recent(), QUERY_POINTS)
         if len(cloud) < 100 or len(query) < 50:
             return None
-        cloud = _thinned(cloud, FIELD_CELL_M)
+        cloud = thinned(cloud, FIELD_CELL_M)
         return Closing(Question(cloud, query, at, len(self.path) - 1, reach_m, reach_rad, c.least_score))
 
     def _close(self, closing: Closing) -> Pose | None:
         """Take what a search found; where it is one place and no other, smooth the path."""
         self._closing = None
-        place = self._judged(closing)
+        recent = self._recent()
+        place = self._judged(closing, recent)
         if place is None:
             return None
-        query = self._query()
+        query = picked(recent, QUERY_POINTS)
         hold = np.diag((1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.05**2))
         fit = self._map.refine(query, place, hold)
         if (np.abs(between(place, fit.map_t_points)) > MOST_CORRECTION).any():
@@ -286,8 +288,8 @@ class Loops:
         self._map.rebuild(self.points[: self._settled], self.path[: self._settled])
         return self.path.copy()
 
-    def _judged(self, closing: Closing) -> Pose | None:
-        """Return where the newest key scan is on the settled map, if that can be believed."""
+    def _judged(self, closing: Closing, recent: Points) -> Pose | None:
+        """Return where the newest key scan is on the settled map, if the last metres (N, 2) believe it."""
         found = closing.found()
         if found is None:
             return None
@@ -298,7 +300,7 @@ class Loops:
             rival_ratio=found.rival.score / found.best.score if found.rival else 0.0,
             at=self.path[-1],
             drift=self._drift,
-            points=self._recent(),
+            points=recent,
             way_m=float(self.way_m[-1]),
         )
         return finding.place if self._judge.believes(finding, self._map) else None
@@ -321,13 +323,6 @@ class Loops:
         """How far the path may be off in the direction that is known worst, one sigma."""
         return away_m(self._drift)
 
-    def _query(self) -> Points:
-        """Choose of the points of the last metres of way so many as a search can take, evenly."""
-        query = self._recent()
-        if len(query) > QUERY_POINTS:
-            query = query[np.linspace(0, len(query) - 1, QUERY_POINTS).astype(np.int64)]
-        return np.ascontiguousarray(query)
-
     def _recent(self) -> Points:
         """Gather the points of the last metres of way, evenly, in the newest laser frame."""
         first = self._first_asked()
@@ -335,7 +330,7 @@ class Loops:
         parts = [
             transform(between(here, self.path[k]), self.points[k]) for k in range(first, len(self.points))
         ]
-        return _thinned(np.vstack(parts), 0.1)
+        return thinned(np.vstack(parts), 0.1)
 
     def _first_asked(self) -> int:
         """Return the first key scan of the last metres: the more may be off, the more must be recognised."""
@@ -352,13 +347,6 @@ class Loops:
             np.concatenate((np.linalg.inv(self._covariances.rows[1:]), places.informations.rows)),
             np.concatenate((np.zeros(len(chain)), places.doubts.rows)),
         )
-
-
-def _thinned(points: Points, cell_m: float) -> Points:
-    """Keep the first point of each cell of a grid."""
-    cells = np.floor(points / cell_m).astype(np.int64)
-    _, first = np.unique(cells[:, 0] * 2_000_003 + cells[:, 1], return_index=True)
-    return points[first]
 
 
 def _in_map(covariance: Matrix, yaw_rad: float) -> Matrix:
