@@ -1,6 +1,7 @@
 """A simulated world for the emulators: buildings, a ray caster, laser models and a wheeled robot."""
 
 from drivers.world.building import Building, box, outline
+from drivers.world.catalogue import BUILDINGS, BuildingName
 from drivers.world.drive import simulate_scans
 from drivers.world.generators import (
     corridor,
@@ -18,7 +19,9 @@ from drivers.world.raycast import Hits, cast
 from drivers.world.robot import WheeledRobot
 
 __all__ = [
+    "BUILDINGS",
     "Building",
+    "BuildingName",
     "Hits",
     "Laser",
     "Pursuit",

@@ -5,12 +5,11 @@ stopped by itself, and lets an emergency stop stand.
 """
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from drivers.create.operators import Intent
-from drivers.world import Pursuit, PursuitConfig
+from drivers.world import BUILDINGS, BuildingName, Pursuit, PursuitConfig
 from runtime.nodes.convert import pose_from_message
-from runtime.nodes.simulator import BUILDINGS
 from runtime.nodes.steering import steering_message
 from runtime.port import Port
 
@@ -25,16 +24,7 @@ _ASK_AGAIN_NS = 1_000_000_000
 class Config:
     """Which route, and how fast."""
 
-    building: Literal[
-        "demo",
-        "room",
-        "doorway",
-        "corridor",
-        "hallway_with_doors",
-        "pillar_hall",
-        "loop_corridor",
-        "square_of_corridors",
-    ] = "demo"
+    building: BuildingName = "demo"
     name: str = "script"
     """Of the operator, as the base tells it to others."""
     base: str = "base"

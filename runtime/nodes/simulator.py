@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers import world
 from drivers.create.emulator import CreateEmulator
 from drivers.urg04lx.emulator import Emulator as LaserEmulator
+from drivers.world import BUILDINGS, Building, BuildingName, Urg04lx, WheeledRobot
 from runtime import messages
 from runtime.nodes.convert import pose_to_message
 from runtime.port import Port
@@ -24,16 +24,6 @@ from runtime.process.checkpoint import Checkpoint
 SUBSCRIBES: tuple[str, ...] = ()
 PUBLISHES: tuple[str, ...] = ("truth",)
 
-BUILDINGS: dict[str, Callable[[], world.Building]] = {
-    "demo": world.demo_building,
-    "room": world.room,
-    "doorway": world.doorway,
-    "corridor": world.corridor,
-    "hallway_with_doors": world.hallway_with_doors,
-    "pillar_hall": world.pillar_hall,
-    "loop_corridor": world.loop_corridor,
-    "square_of_corridors": world.square_of_corridors,
-}
 _TRUTH_NS = 100_000_000
 
 
@@ -41,16 +31,7 @@ _TRUTH_NS = 100_000_000
 class Config:
     """What is simulated, and where the lines appear."""
 
-    building: Literal[
-        "demo",
-        "room",
-        "doorway",
-        "corridor",
-        "hallway_with_doors",
-        "pillar_hall",
-        "loop_corridor",
-        "square_of_corridors",
-    ] = "demo"
+    building: BuildingName = "demo"
     laser: Path = Path("laser")
     """Link to the laser's line; relative to the run's directory."""
     base: Path = Path("base")
@@ -64,7 +45,7 @@ def run(port: Port, config: Config) -> int:
     place = port.run_dir / "simulator.checkpoint"
     # As if writing took no time: a few bytes, and a place that is seconds old would be another place.
     kept = Checkpoint(place, _TRUTH_NS, config, now_ns=lambda: 0)
-    robot = world.WheeledRobot(building, kept.read(), now_ns=time.monotonic_ns())
+    robot = WheeledRobot(building, kept.read(), now_ns=time.monotonic_ns())
     links = [port.run_dir / config.laser, port.run_dir / config.base]
     laser = LaserEmulator(sight(building, robot, port.seed), link=links[0], seed=port.seed)
     base = CreateEmulator(robot, model=config.model, link=links[1], seed=port.seed)
@@ -79,10 +60,10 @@ def run(port: Port, config: Config) -> int:
 
 
 def sight(
-    building: world.Building, robot: world.WheeledRobot, seed: int
+    building: Building, robot: WheeledRobot, seed: int
 ) -> Callable[[NDArray[np.int64]], NDArray[np.int32]]:
     """Return what a laser in the middle of the robot sees: times of its rays (ns) to mm or error codes."""
-    laser, rng = world.Urg04lx(), np.random.default_rng(seed)
+    laser, rng = Urg04lx(), np.random.default_rng(seed)
 
     def scene(ray_times_ns: NDArray[np.int64]) -> NDArray[np.int32]:
         return laser.measure_mm(building, robot.poses_at(ray_times_ns), rng)
@@ -90,7 +71,7 @@ def sight(
     return scene
 
 
-def _publish_truth(port: Port, robot: world.WheeledRobot, base: CreateEmulator, kept: Checkpoint) -> None:
+def _publish_truth(port: Port, robot: WheeledRobot, base: CreateEmulator, kept: Checkpoint) -> None:
     due_ns = time.monotonic_ns()
     while not port.stopping:
         now_ns = time.monotonic_ns()
