@@ -5,11 +5,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from runtime.cli.which_robot import add_robot
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("node", nargs="*", help="only these processes")
-    parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
+    add_robot(parser)
     parser.add_argument(
         "--results", type=Path, metavar="DIR", help="of a finished run, such as results/latest"
     )

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.which_robot import add_robot
 from runtime.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -25,8 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "file", type=Path, nargs="?", help="recording (.mcap or .rrd) or session; else a running robot"
     )
-    parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
-    parser.add_argument("--domain", type=int, default=0, help="ROS domain (default 0)")
+    add_robot(parser, domain=True)
     parser.add_argument(
         "--connect", metavar="HOST[:PORT]", help="where the paired robot is now, if it has moved"
     )
