@@ -137,7 +137,7 @@ def test_the_status_is_what_the_processes_said(bus, health):
 
 def test_how_far_the_clocks_are_apart_is_in_every_form_of_the_status(bus, health):
     status = status_of("robot", health.vitals(), Offset(-2_500_000, 400_000))
-    assert "clock -2.500 ms, to 0.200 ms" in status.line()
+    assert "clock -2.500 ms ± 0.200 ms" in status.line()
     values = status.to_json()
     assert (values["clock_offset_ns"], values["clock_round_trip_ns"]) == (-2_500_000, 400_000)
     assert status_of("robot", {}).to_json()["clock_offset_ns"] is None
