@@ -158,8 +158,8 @@ def _has_screen() -> bool:
 
 
 def _check(file: Path, headless: bool) -> dict[str, Any]:
-    """Check every node in a process of its own: the modules are heavy, and this one stays light."""
-    from runtime.cli.compiling import compile_all
+    """Check every node, in a process of its own: modules are heavy, this one stays light. Then compile."""
+    from runtime.cli.compiling import UNCOMPILED, compile_all
     from runtime.cli.patience import told
     from runtime.clock import Clock
     from runtime.errors import ConfigError, HallwayError
@@ -169,10 +169,10 @@ def _check(file: Path, headless: bool) -> dict[str, Any]:
     if headless:
         command.append("--headless")
     environment = child_environment(Clock())
-    compile_all(environment, _tell)
-    with told(_tell, "still loading the modules of the graph; what was never compiled is compiled now ..."):
-        check = subprocess.run(command, capture_output=True, text=True, env=environment)
+    with told(_tell, "still loading the modules of the graph ..."):
+        check = subprocess.run(command, capture_output=True, text=True, env={**environment, **UNCOMPILED})
     if check.returncode == 0:
+        compile_all(environment, _tell)
         return dict(json.loads(check.stdout))
     lines = check.stderr.strip().splitlines() or [f"exit code {check.returncode}"]
     if check.returncode == ConfigError.exit_code:
