@@ -1,12 +1,10 @@
 """`hallway view` as a person types it."""
 
-import importlib.util
 import os
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -16,10 +14,7 @@ from runtime.formats.mcap_log import McapChannel
 from runtime.nodes import viewer_server
 from runtime.recording import Recording, RecordingConfig
 from runtime.topics import topic
-
-_spec = importlib.util.spec_from_file_location("viewer_story", Path(__file__).with_name("viewer_story.py"))
-story = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(story)
+from tests.integration import viewer_story as story
 
 
 @pytest.fixture

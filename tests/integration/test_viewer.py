@@ -1,6 +1,5 @@
 """The viewer as a whole: its process, its program, and the picture that a person sees."""
 
-import importlib.util
 import os
 import re
 import signal
@@ -18,16 +17,8 @@ from runtime.bus_memory import MemoryBus
 from runtime.node import BusPort
 from runtime.nodes import viewer, viewer_scene, viewer_server
 from runtime.nodes.viewer_painter import WAITING_MAX, Painter
-
-
-def load(name):
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-story, browser = load("viewer_story"), load("browser")
+from tests.integration import browser
+from tests.integration import viewer_story as story
 
 RED, BLUE, WHITE, WALL = (214, 40, 40), (38, 99, 214), (255, 255, 255), (28, 28, 28)
 WARN = (255, 122, 12)  # the program's own
