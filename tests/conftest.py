@@ -17,6 +17,7 @@ ROBOTS = {
         "pages_walked",
         "paper_command",
         "remote",
+        "remote_records",
         "replay_map",
         "replay_zenoh",
         "resume",
