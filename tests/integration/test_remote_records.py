@@ -1,4 +1,4 @@
-"""What a guest takes home from a robot over a network: recordings that tell of the run, and nobody's secrets."""
+"""What a guest takes home over a network: recordings that tell of the run, and nobody's secrets."""
 
 import base64
 import time
