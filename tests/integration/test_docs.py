@@ -85,6 +85,21 @@ def test_every_link_of_a_page_leads_somewhere():
                 assert (page.parent / target).is_file(), f"{name}: {target}"
 
 
+def test_every_link_into_a_page_finds_its_heading_there():
+    prose = {
+        name: re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL) for name, page in PAGES.items()
+    }
+    looked = 0
+    for name, text in prose.items():
+        for target, place in re.findall(r"\]\(([^)#:]*)#([^)]*)\)", text):
+            there = prose[Path(target).name if target else name]
+            heads = re.findall(r"^#+ (.*)$", there, flags=re.MULTILINE)
+            places = [re.sub(r"[^\w -]", "", head.lower()).replace(" ", "-") for head in heads]
+            assert place in places or f'<a id="{place}">' in there, f"{name}: {target}#{place}"
+            looked += 1
+    assert looked >= 5
+
+
 def test_pictures_of_the_pages_are_small():
     for picture in (ROOT / "docs").rglob("*.png"):
         assert picture.stat().st_size < 150_000, picture
