@@ -23,6 +23,11 @@ def blocks(name, language):
     return re.findall(rf"```{language}\n(.*?)```", PAGES[name].read_text(), flags=re.DOTALL)
 
 
+def prose_of(page):
+    """Return a page without its blocks of code."""
+    return re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+
+
 def calls():
     """Every call of ours in a shell block of a page: (page, words)."""
     found = set()
@@ -79,8 +84,7 @@ def test_cheap_calls_do_what_the_pages_promise():
 
 def test_every_link_of_a_page_leads_somewhere():
     for name, page in PAGES.items():
-        prose = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
-        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", prose):
+        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", prose_of(page)):
             if not target.startswith(("http://", "https://")):
                 assert (page.parent / target).is_file(), f"{name}: {target}"
 
