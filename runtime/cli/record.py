@@ -184,7 +184,7 @@ def _say(recording: Any, lacking: bool) -> None:
     counts = recording.counts
     text = f"{counts.written} messages in {', '.join(map(str, recording.files)) or 'no file'}"
     if counts.total_lost:
-        text += f"; {counts.total_lost} LOST"
+        text += f"; {counts.words()}"
     if lacking:
         text += "; no scan so far"
     if recording.stopped:
