@@ -10,7 +10,7 @@ import pytest
 
 from runtime import messages
 from runtime.cli import main
-from runtime.formats.mcap_log import McapChannel
+from runtime.formats.mcap_log import McapChannel, McapReader
 from runtime.nodes import viewer_server
 from runtime.recording import Recording, RecordingConfig
 from runtime.topics import topic
@@ -41,6 +41,19 @@ def test_a_recording_becomes_a_picture_in_a_file(recording, tmp_path, capsys):
     stats = entities(file)
     assert "/world/map: " in stats
     assert "/latency/scan_to_pose: " in stats
+
+
+def test_a_picture_of_a_recording_without_a_map_brings_its_layout_too(recording, tmp_path):
+    bare = Recording(tmp_path / "bare.mcap", "robot", RecordingConfig(min_free_mb=0), story.BEGIN_NS)
+    for message in McapReader(recording).messages():
+        if message.channel.name in ("scan", "pose"):
+            bare.add(message.channel, message.sequence, message.log_ns, message.publish_ns, message.payload)
+    bare.close(story.stamp(50))
+    file = tmp_path / "bare.rrd"
+    assert main(["view", str(tmp_path / "bare.mcap"), "--save", str(file)]) == 0
+    command = [viewer_server.program(), "rrd", "print", str(file)]
+    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "make_active: true" in told
 
 
 @pytest.mark.parametrize("kind", ["mcap", "rrd"])
