@@ -25,7 +25,11 @@ def run(args: argparse.Namespace) -> int:
     from runtime.config import refuse_unknown
     from runtime.errors import ConfigError
 
-    folder = (args.results or rundir.running(args.robot)) / "logs"
+    try:
+        folder = (args.results or rundir.running(args.robot)) / "logs"
+    except rundir.NotRunningError as error:
+        finished = "of a finished run: `hallway logs --results results/latest`"
+        raise rundir.NotRunningError(f"{error}; {finished}") from error
     files = {path.stem: path for path in sorted(folder.glob("*.log"))}
     if not files:
         raise ConfigError(f"{folder}: holds no logs")
