@@ -97,12 +97,11 @@ def render(
     shrink = max(1, -(-max(window.shape) // size_px))
     window = _coarse(window, shrink)
     colours = _colours(window)
-    kept = keep_out is not None and bool(keep_out.any())
-    if keep_out is not None and kept:
-        tinted, _ = _window(
-            np.where(keep_out, np.float32(1.0), np.float32(np.nan)), resolution_m, origin_m, cells
-        )
-        colours = _tinted(colours, ~np.isnan(_coarse(tinted, shrink)))
+    kept = keep_out if keep_out is not None and keep_out.any() else None
+    if kept is not None:
+        shown = np.where(kept, np.float32(1.0), np.float32(np.nan))
+        shown, _ = _window(shown, resolution_m, origin_m, cells)
+        colours = _tinted(colours, ~np.isnan(_coarse(shown, shrink)))
     cell_px = max(1, size_px // max(window.shape))
     ground = Image.fromarray(colours[::-1])
     rows, cols = window.shape
@@ -113,7 +112,7 @@ def render(
         if len(way) > 1:
             draw.line(frame.px(way), fill=GUESSES, width=_FINE)
     _draw_paths(draw, frame, path, path_truth, points, hit_px * _FINE)
-    return _with_legend(canvas, frame, caption, marked=len(path) > 0, kept=kept)
+    return _with_legend(canvas, frame, caption, marked=len(path) > 0, kept=kept is not None)
 
 
 def png(image: Image.Image) -> bytes:

@@ -44,9 +44,9 @@ class Screen:
             self._live.stop()
             self._live = None
 
-    def say(self, line: str) -> None:
-        """Print a line that stays."""
-        if self._quiet:
+    def say(self, line: str, *, ordinary: bool = False) -> None:
+        """Print a line that stays; an ordinary one only where no table shows the same."""
+        if self._quiet or (ordinary and self._live is not None):
             return
         if self._live is not None:
             self._live.console.print(line, highlight=False, markup=False)
@@ -126,7 +126,7 @@ def _words(line: ProcessLine) -> str:
         "late": line.deadline_misses,
         "restarts": line.restarts,
     }
-    said = line.text if line.level == "ok" else ""
+    said = line.text if line.level == "ok" and line.text != "running" else ""
     parts = [] if line.state == "running" and said else [line.state]
     parts += [f"{name} {count}" for name, count in counts.items() if count]
     return ", ".join(filter(None, (*parts, said)))

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 _TURN_S = 0.05
 _NOTIFY_S = 0.5
 _TELL_S = 2.0
+_ORDINARY = ("starts", "ready", "ended")
+"""What every process does once in a run."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -126,7 +128,9 @@ def _run(args: argparse.Namespace, file: Path) -> int:
             out,
             remote=remote,
             open_bus=ZenohBus,
-            on_event=lambda event: screen.say(f"  {event.node}: {_in_short(live, event)}"),
+            on_event=lambda event: screen.say(
+                f"  {event.node}: {_in_short(live, event)}", ordinary=event.text in _ORDINARY
+            ),
         )
         try:
             interrupted = _drive(live, screen, args.duration)

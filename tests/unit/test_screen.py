@@ -47,6 +47,13 @@ class Frames(list):
     def __call__(self, **options):
         return self
 
+    def __init__(self):
+        super().__init__()
+        self.console, self.lines = self, []
+
+    def print(self, line, **options):
+        self.lines.append(line)
+
     def start(self):
         pass
 
@@ -91,6 +98,21 @@ def test_the_table_shows_what_was_lost_came_twice_and_waited():
     assert lines[-1].split(maxsplit=4) == ["laser", "3", "242", "53", "lost 31, twice 42, late 64, streaming"]
 
 
+@pytest.mark.parametrize(
+    ("state", "text", "words"),
+    [
+        ("starting", "running", "starting"),
+        ("running", "running", "running"),
+        ("running", "", "running"),
+        ("running", "mapping", "mapping"),
+        ("stopping", "saving the map", "stopping, saving the map"),
+    ],
+)
+def test_a_process_is_said_to_be_in_one_state(state, text, words):
+    lines = painted(status({}, processes=(process("mapper", state=state, text=text),)), 80)
+    assert lines[-1].split(maxsplit=4) == ["mapper", "3", "242", "53", words]
+
+
 def test_an_eighty_column_terminal_holds_a_robot_a_line_each_and_what_is_wrong_in_whole():
     cause = (
         "poses are late: p99 282 ms, limit 200 ms, most of it in the mapper: fewer mapper.mapping.particles"
@@ -107,3 +129,17 @@ def test_an_eighty_column_terminal_holds_a_robot_a_line_each_and_what_is_wrong_i
     assert cause in " ".join(lines)
     assert lines[-1] == "base: port gone"
     assert "backoff, restarts 2" in "\n".join(lines)
+
+
+def test_what_the_table_shows_is_no_line_beside_it(frames):
+    with Screen() as screen:
+        screen.say("mapper: ready", ordinary=True)
+        screen.say("mapper: killed by signal 9, starts again")
+    assert frames.lines == ["mapper: killed by signal 9, starts again"]
+
+
+def test_without_a_terminal_every_line_is_said(capsys):
+    with Screen() as screen:
+        screen.say("mapper: ready", ordinary=True)
+        screen.say("mapper: failed")
+    assert capsys.readouterr().out == "mapper: ready\nmapper: failed\n"
