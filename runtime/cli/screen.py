@@ -1,5 +1,6 @@
 """The live status of a robot: one calm table on a terminal, a plain line now and then elsewhere."""
 
+import re
 import sys
 import time
 from dataclasses import replace
@@ -9,6 +10,7 @@ from typing import Any
 from runtime.latency import HOPS
 from runtime.status import ProcessLine, Status
 
+_FIGURE = re.compile(r"\d+(\.\d+)?")
 _PLAIN_EVERY_S = 5.0
 _PAINT_EVERY_S = 0.5
 _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "stale": "red"}
@@ -28,6 +30,7 @@ class Screen:
         self._shown = 0.0
         self._hops_ms: dict[str, dict[str, float]] = {}
         self._map_size = ""
+        self._times: dict[str, tuple[str, int]] = {}
 
     def __enter__(self) -> "Screen":
         if not self._quiet and sys.stdout.isatty():
@@ -65,7 +68,20 @@ class Screen:
         if self._live is not None:
             self._live.update(table(status, elapsed_s), refresh=True)
         else:
-            print(f"{elapsed_s:6.0f} s  {status.line()}", flush=True)
+            line = " | ".join((status.line(), *self._news(status.troubles())))
+            print(f"{elapsed_s:6.0f} s  {line}", flush=True)
+
+    def _news(self, troubles: dict[str, str]) -> list[str]:
+        """Return what is wrong: in words when it is new, later how often it was so, whatever its figures."""
+        before, self._times = self._times, {}
+        told = []
+        for name, text in troubles.items():
+            kind = _FIGURE.sub("#", text)
+            last, times = before.get(name, (kind, 0))
+            times = times + 1 if last == kind else 1
+            self._times[name] = kind, times
+            told.append(f"{name}: {text}" if times == 1 else f"{name}: the same, {times} times")
+        return told
 
 
 def table(status: Status, elapsed_s: float | None) -> Any:

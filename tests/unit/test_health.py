@@ -131,7 +131,7 @@ def test_the_status_is_what_the_processes_said(bus, health):
     assert (lines["hub"].pid, lines["hub"].rss_mb, lines["hub"].cpu_percent) == (11, 51.5, 1.5)
     assert (lines["mapper"].level, lines["mapper"].text) == ("error", "killed")
     assert "TRACKING" in status.line()
-    assert "laser: dusty" in status.line()
+    assert status.troubles()["laser"] == "dusty"
     assert "ray to pose 120/140 ms" in status.line()
 
 

@@ -143,3 +143,28 @@ def test_without_a_terminal_every_line_is_said(capsys):
         screen.say("mapper: ready", ordinary=True)
         screen.say("mapper: failed")
     assert capsys.readouterr().out == "mapper: ready\nmapper: failed\n"
+
+
+def test_a_warning_that_stays_is_said_once_and_then_counted(monkeypatch, capsys):
+    monkeypatch.setattr("runtime.cli.screen._PLAIN_EVERY_S", 0.0)
+
+    def late(text):
+        return status({}, processes=(process("monitor", "warn", text), process("laser", text="fine")))
+
+    with Screen() as screen:
+        for p99_ms in (215, 292, 234):
+            screen.show(late(f"poses are late: p99 {p99_ms} ms"), 5.0)
+        screen.show(late("poses are late: p99 7.5 ms"), 5.0)
+        screen.show(late("the clock has stepped"), 5.0)
+        screen.show(status({}), 5.0)
+        screen.show(late("the clock has stepped"), 5.0)
+    ends = [line.partition("scans")[2] for line in capsys.readouterr().out.splitlines()]
+    assert ends == [
+        " | monitor: poses are late: p99 215 ms",
+        " | monitor: the same, 2 times",
+        " | monitor: the same, 3 times",
+        " | monitor: the same, 4 times",
+        " | monitor: the clock has stepped",
+        "",
+        " | monitor: the clock has stepped",
+    ]
