@@ -24,7 +24,10 @@ _TURN_S = 0.1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
     parser.add_argument(
-        "file", type=Path, nargs="?", help="recording (.mcap or .rrd) or session; else a running robot"
+        "file",
+        type=Path,
+        nargs="?",
+        help="recording (.mcap or .rrd), session or results folder; else a running robot",
     )
     add_robot(parser, domain=True)
     parser.add_argument(
@@ -32,10 +35,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--web", action="store_true", help="as a page at 127.0.0.1 instead of a window")
     parser.add_argument("--save", type=Path, metavar="F.rrd", help="into a file instead of a window")
-    parser.add_argument("--port", type=int, default=9876, help="of the picture (default 9876)")
-    parser.add_argument("--web-port", type=int, default=9090, help="of the page (default 9090)")
+    parser.add_argument("--port", type=int, default=9876, metavar="N", help="of the picture (default 9876)")
+    parser.add_argument("--web-port", type=int, default=9090, metavar="N", help="of the page (default 9090)")
     parser.add_argument(
-        "--memory", type=int, default=512, metavar="MB", help="of the picture; the oldest goes first"
+        "--memory",
+        type=int,
+        default=512,
+        metavar="MB",
+        help="of the picture; the oldest goes first (default 512)",
     )
 
 
