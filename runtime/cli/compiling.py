@@ -17,7 +17,7 @@ from pathlib import Path
 
 from runtime.cli.patience import told
 from runtime.clock import Clock
-from runtime.supervisor import child_environment
+from runtime.supervision.supervisor import child_environment
 
 CHAINS: tuple[tuple[float, tuple[str, ...]], ...] = (
     (9.0, ("dpslam.grid", "dpslam.laser_model", "dpslam.writing", "dpslam.alignment", "dpslam.kernels")),

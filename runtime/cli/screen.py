@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Any
 
 from runtime.latency import HOPS
-from runtime.status import ProcessLine, Status
+from runtime.process.status import ProcessLine, Status
 
 _FIGURE = re.compile(r"\d+(\.\d+)?")
 _PLAIN_EVERY_S = 5.0

@@ -15,9 +15,9 @@ from drivers.errors import PortBusyError, PortMissingError
 from drivers.transport import SerialStream
 from drivers.world import WheeledRobot, room
 from runtime import messages
-from runtime.bus_memory import MemoryBus
-from runtime.node import BusPort
+from runtime.bus.memory import MemoryBus
 from runtime.nodes import base
+from runtime.process.node import BusPort
 from tests.integration.create_rig import Operator, Rig, wait
 
 

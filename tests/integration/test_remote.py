@@ -5,7 +5,7 @@ import subprocess
 
 import pytest
 
-from runtime import keys
+from runtime.access import keys
 from tests.integration.remote.stage import KNOWN_CELLS, ROBOT
 
 

@@ -4,7 +4,7 @@ import base64
 import time
 from pathlib import Path
 
-from runtime import keys
+from runtime.access import keys
 from runtime.formats.mcap_log import McapReader
 
 
@@ -52,7 +52,7 @@ def test_no_secret_is_in_a_log_a_recording_or_a_list_of_processes(robot, tmp_pat
         end = time.monotonic() + 20
         while not (log := (tmp_path / "robot.log").read_bytes()) and time.monotonic() < end:
             time.sleep(0.1)
-    assert b"runtime.hub" in running
+    assert b"runtime.supervision.hub" in running
     assert b"a.mcap" in running
     reader = McapReader(tmp_path / "a.mcap")
     recorded = b"".join(message.payload for message in reader.messages())

@@ -11,8 +11,8 @@ import pytest
 from runtime import messages
 from runtime.cli import main
 from runtime.formats.mcap_log import McapChannel, McapReader
-from runtime.nodes import viewer_server
-from runtime.recording import Recording, RecordingConfig
+from runtime.nodes.viewing import server as viewer_server
+from runtime.recordings.recording import Recording, RecordingConfig
 from runtime.topics import topic
 from tests.integration import viewer_story as story
 

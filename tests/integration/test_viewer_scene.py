@@ -6,7 +6,7 @@ import pytest
 from runtime import messages
 from runtime.nodes import viewer_scene, viewer_shapes
 from runtime.nodes.convert import transform_to_message
-from runtime.nodes.viewer_scene import Scene
+from runtime.nodes.viewing.scene import Scene
 from tests.integration import viewer_story as story
 
 

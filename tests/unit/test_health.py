@@ -5,12 +5,12 @@ import time
 import pytest
 
 from runtime import messages
-from runtime.bus_memory import MemoryBus
-from runtime.health import Health
+from runtime.bus.memory import MemoryBus
+from runtime.bus.offset import Offset
 from runtime.messages import Attachment
-from runtime.node import BusPort
-from runtime.offset import Offset
-from runtime.status import status_of
+from runtime.process.health import Health
+from runtime.process.node import BusPort
+from runtime.process.status import status_of
 from runtime.topics import topic
 
 KEY = messages.topic_key("robot/diagnostics", topic("diagnostics").type)
@@ -199,4 +199,4 @@ def names(health):
 
 def later(monkeypatch, seconds):
     now = time.monotonic
-    monkeypatch.setattr("runtime.health.time.monotonic", lambda: now() + seconds)
+    monkeypatch.setattr("runtime.process.health.time.monotonic", lambda: now() + seconds)

@@ -7,9 +7,9 @@ import pytest
 from rich.console import Console
 
 from runtime import latency
+from runtime.bus.offset import Offset
 from runtime.cli.screen import Screen, table
-from runtime.offset import Offset
-from runtime.status import ProcessLine, Status
+from runtime.process.status import ProcessLine, Status
 
 HOPS = {"match": {"p50": 3.0, "p99": 8.0, "max": 9.0}}
 

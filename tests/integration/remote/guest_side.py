@@ -9,12 +9,13 @@ import json
 import sys
 import time
 
-from runtime import gate, messages
-from runtime.bus import Mailbox, wait_matching
-from runtime.bus_zenoh import BusError, ZenohBus
+from runtime import messages
+from runtime.access import gate
+from runtime.bus.contract import Mailbox, wait_matching
+from runtime.bus.offset import measured
+from runtime.bus.pulling import Puller
+from runtime.bus.zenoh_bus import BusError, ZenohBus
 from runtime.clock import Clock
-from runtime.offset import measured
-from runtime.pulling import Puller
 from runtime.topics import topic
 
 

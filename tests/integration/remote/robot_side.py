@@ -15,16 +15,24 @@ from pathlib import Path
 
 import numpy as np
 
-from runtime import links
-from runtime.bus_zenoh import ZenohBus
+from runtime.bus import links
+from runtime.bus.offset import tell_time
+from runtime.bus.zenoh_bus import ZenohBus
 from runtime.clock import Clock
-from runtime.identity import Identity, tell
-from runtime.node import BusPort
-from runtime.offset import tell_time
+from runtime.process.identity import Identity, tell
+from runtime.process.node import BusPort
 from runtime.tiles import Tiles
 
 run_dir, address = Path(sys.argv[1]), sys.argv[2]
-hub = [sys.executable, "-m", "runtime.hub", "--run-dir", str(run_dir), "--remote", f"{address}:7448"]
+hub = [
+    sys.executable,
+    "-m",
+    "runtime.supervision.hub",
+    "--run-dir",
+    str(run_dir),
+    "--remote",
+    f"{address}:7448",
+]
 with subprocess.Popen(hub) as process, contextlib.ExitStack() as last:
     last.callback(process.terminate)
     while not (run_dir / "hub.sock").exists():

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime import keys
+from runtime.access import keys
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]

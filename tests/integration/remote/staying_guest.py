@@ -4,9 +4,10 @@ import json
 import sys
 import threading
 
-from runtime import gate, messages
-from runtime.bus import Mailbox
-from runtime.bus_zenoh import ZenohBus
+from runtime import messages
+from runtime.access import gate
+from runtime.bus.contract import Mailbox
+from runtime.bus.zenoh_bus import ZenohBus
 from runtime.topics import topic
 
 
