@@ -2,6 +2,7 @@
 
 import os
 
+import numba  # noqa: F401  so that no command that reads a configuration here loads the loops uncompiled
 import pytest
 
 from runtime.cli import patience
@@ -16,6 +17,7 @@ ROBOTS = {
         "pages_walked",
         "paper_command",
         "remote",
+        "remote_records",
         "replay_map",
         "replay_zenoh",
         "resume",

@@ -22,7 +22,7 @@ class Offset:
     """Of the quickest answer; the offset is right to half of it."""
 
     def __str__(self) -> str:
-        return f"{self.offset_ns / 1e6:+.3f} ms, to {self.round_trip_ns / 2e6:.3f} ms"
+        return f"{self.offset_ns / 1e6:+.3f} ms ± {self.round_trip_ns / 2e6:.3f} ms"
 
 
 def question_key(robot: str, name: str) -> str:

@@ -61,7 +61,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not arguments:
         parser.print_help(sys.stderr)
         return 2
-    args = parser.parse_args(arguments)
+    args, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        # Said by the verb's own parser, under the line that shows what the verb takes.
+        verbs.choices[args.verb].error(f"unrecognized arguments: {' '.join(unknown)}")
     try:
         return int(import_module(f"runtime.cli.{args.verb}").run(args))
     except KeyboardInterrupt:

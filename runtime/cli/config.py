@@ -28,10 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Dump or check."""
     from runtime import graph as graphs
+    from runtime.cli.compiling import uncompiled
 
     file = graphs.find(args.graph)
     graph = graphs.load(file)
-    resolved = graphs.resolve_all(graph, str(file))
+    with uncompiled():
+        resolved = graphs.resolve_all(graph, str(file))
     if args.action == "check":
         print(f"{file}: {len(graph.nodes)} processes, good")
         return 0

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,8 @@ def _print(report: dict[str, Any]) -> None:
     for key, value in report.items():
         if key in ("topics", "missing", "notices", "gaps", "outages") or value is None:
             continue
+        if key == "began_s":
+            key, value = "began", f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S} UTC"
         print(f"{key:<20} {_text(value)}")
     if topics:
         print(f"{'topic':<28}{'messages':>9}{'Hz':>8}{'missing':>9}  type")
@@ -116,7 +119,10 @@ def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, dict):
-        return ", ".join(f"{key}={_text(one)}" for key, one in value.items())
+        return ", ".join(
+            f"{key}=({_text(one)})" if isinstance(one, dict) else f"{key}={_text(one)}"
+            for key, one in value.items()
+        )
     if isinstance(value, list):
         return ", ".join(map(_text, value))
     return str(value)

@@ -4,10 +4,11 @@ import argparse
 import json
 from pathlib import Path
 
+from runtime.cli.which_robot import add_robot
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
-    parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     make = actions.add_parser("make", help="on the robot, once: its authority and the certificate of its hub")
     make.add_argument(
@@ -28,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     ros.add_argument("file", type=Path, help="an invitation")
     ros.add_argument("--out", type=Path, metavar="FILE", help="default GUEST.json5")
+    add_robot(parser, actions=actions.choices.values())
 
 
 def run(args: argparse.Namespace) -> int:

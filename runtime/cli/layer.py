@@ -65,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
         print(json.dumps({"out": str(folder), "cells": counts, "left_alone": left_alone}))
         return 0
     told = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
-    print(f"{folder}/: session.mcap, map.pgm + map.yaml, map.png; cells on the layer: {told}")
+    also = ", keepout.pgm + keepout.yaml" if (folder / "keepout.yaml").is_file() else ""
+    print(f"{folder}/: session.mcap, map.pgm + map.yaml, map.png{also}; cells on the layer: {told}")
     if left_alone:
         print(f"hallway layer: {left_alone} pixels of other greys paint nothing", file=sys.stderr)
     return 0
@@ -98,8 +99,15 @@ def write(folder: Path, saved: "Saved", layer: "Layer") -> None:
         if keep_out.any():
             write_keep_out(fresh, keep_out, grid_map(grid))
         way = past.map_t_laser[:, :2]
-        caption = f"{session.drives} drives, with what was painted"
-        picture = render(grid.probability, grid.resolution_m, grid.origin_m, way, caption=caption)
+        drives = f"{session.drives} drives" if session.drives > 1 else "one drive"
+        picture = render(
+            grid.probability,
+            grid.resolution_m,
+            grid.origin_m,
+            way,
+            keep_out=keep_out,
+            caption=f"{drives}, with what was painted",
+        )
         (fresh / "map.png").write_bytes(png(picture))
         writer = SessionWriter(fresh / FILE, session.head)
         writer.copy(session.path)

@@ -5,11 +5,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from runtime.cli.which_robot import add_robot
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("node", nargs="*", help="only these processes")
-    parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
+    add_robot(parser)
     parser.add_argument(
         "--results", type=Path, metavar="DIR", help="of a finished run, such as results/latest"
     )
@@ -23,7 +25,11 @@ def run(args: argparse.Namespace) -> int:
     from runtime.config import refuse_unknown
     from runtime.errors import ConfigError
 
-    folder = (args.results or rundir.running(args.robot)) / "logs"
+    try:
+        folder = (args.results or rundir.running(args.robot)) / "logs"
+    except rundir.NotRunningError as error:
+        finished = "of a finished run: `hallway logs --results results/latest`"
+        raise rundir.NotRunningError(f"{error}; {finished}") from error
     files = {path.stem: path for path in sorted(folder.glob("*.log"))}
     if not files:
         raise ConfigError(f"{folder}: holds no logs")

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from runtime.cli.which_robot import add_robot
 from runtime.errors import ConfigError, DataLostError
 
 KEEP_WAIT_S = 90.0
@@ -19,7 +20,7 @@ KEEP_WAIT_S = 90.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
-    parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
+    add_robot(parser)
     parser.add_argument("--domain", type=int, metavar="N", help="ROS domain (default the robot's)")
     parser.add_argument("--out", type=Path, metavar="F.mcap", help="default recordings/NAME-TIME.mcap")
     parser.add_argument("--topics", nargs="+", default=[], metavar="T", help="which topics (default all)")
@@ -185,7 +186,7 @@ def _say(recording: Any, lacking: bool) -> None:
     counts = recording.counts
     text = f"{counts.written} messages in {', '.join(map(str, recording.files)) or 'no file'}"
     if counts.total_lost:
-        text += f"; {counts.total_lost} LOST"
+        text += f"; {counts.words()}"
     if lacking:
         text += "; no scan so far"
     if recording.stopped:

@@ -81,9 +81,13 @@ def _run(file: Path, out: Path, recorded: "Recorded", quiet: bool) -> int:
     from runtime import graph as graphs
     from runtime import rundir
     from runtime.bus.zenoh_bus import ZenohBus
+    from runtime.cli.compiling import compile_all
+    from runtime.clock import Clock
     from runtime.reports.results import provenance
     from runtime.supervision.run import Run, collect
+    from runtime.supervision.supervisor import child_environment
 
+    compile_all(child_environment(Clock()), _say)
     graph = graphs.load(file)
     if out.is_dir():
         shutil.rmtree(out)
@@ -101,6 +105,10 @@ def _run(file: Path, out: Path, recorded: "Recorded", quiet: bool) -> int:
     if failed is not None and failed.reasons:
         print(f"hallway replay: {failed.name}: {failed.reasons[-1]}", file=sys.stderr)
     return code
+
+
+def _say(line: str) -> None:
+    print(f"hallway replay: {line}", file=sys.stderr, flush=True)
 
 
 def _teller(quiet: bool) -> Any:

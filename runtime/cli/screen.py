@@ -1,5 +1,6 @@
 """The live status of a robot: one calm table on a terminal, a plain line now and then elsewhere."""
 
+import re
 import sys
 import time
 from dataclasses import replace
@@ -7,8 +8,9 @@ from types import TracebackType
 from typing import Any
 
 from runtime.latency import HOPS
-from runtime.process.status import Status
+from runtime.process.status import ProcessLine, Status
 
+_FIGURE = re.compile(r"\d+(\.\d+)?")
 _PLAIN_EVERY_S = 5.0
 _PAINT_EVERY_S = 0.5
 _COLOURS = {"ok": "green", "warn": "yellow", "error": "red", "stale": "red"}
@@ -27,6 +29,8 @@ class Screen:
         self._live: Any = None
         self._shown = 0.0
         self._hops_ms: dict[str, dict[str, float]] = {}
+        self._map_size = ""
+        self._times: dict[str, tuple[str, int]] = {}
 
     def __enter__(self) -> "Screen":
         if not self._quiet and sys.stdout.isatty():
@@ -43,9 +47,9 @@ class Screen:
             self._live.stop()
             self._live = None
 
-    def say(self, line: str) -> None:
-        """Print a line that stays."""
-        if self._quiet:
+    def say(self, line: str, *, ordinary: bool = False) -> None:
+        """Print a line that stays; an ordinary one only where no table shows the same."""
+        if self._quiet or (ordinary and self._live is not None):
             return
         if self._live is not None:
             self._live.console.print(line, highlight=False, markup=False)
@@ -53,24 +57,44 @@ class Screen:
             print(line, flush=True)
 
     def show(self, status: Status, elapsed_s: float) -> None:
-        """Show the present status, if it is time to; the hops stay when whoever measured them has left."""
+        """Show the present status, if it is time to; hops and map stay when who measured them has left."""
         every_s = _PAINT_EVERY_S if self._live is not None else _PLAIN_EVERY_S
         if self._quiet or time.monotonic() - self._shown < every_s:
             return
         self._shown = time.monotonic()
         self._hops_ms = status.hops_ms or self._hops_ms
-        status = replace(status, hops_ms=self._hops_ms)
+        self._map_size = status.map_size or self._map_size
+        status = replace(status, hops_ms=self._hops_ms, map_size=self._map_size)
         if self._live is not None:
             self._live.update(table(status, elapsed_s), refresh=True)
         else:
-            print(f"{elapsed_s:6.0f} s  {status.line()}", flush=True)
+            line = " | ".join((status.line(), *self._news(status.troubles())))
+            print(f"{elapsed_s:6.0f} s  {line}", flush=True)
+
+    def _news(self, troubles: dict[str, str]) -> list[str]:
+        """Return what is wrong: in words when it is new, later how often it was so, whatever its figures."""
+        before, self._times = self._times, {}
+        told = []
+        for name, text in troubles.items():
+            kind = _FIGURE.sub("#", text)
+            last, times = before.get(name, (kind, 0))
+            times = times + 1 if last == kind else 1
+            self._times[name] = kind, times
+            told.append(f"{name}: {text}" if times == 1 else f"{name}: the same, {times} times")
+        return told
 
 
 def table(status: Status, elapsed_s: float | None) -> Any:
-    """Return the status as something `rich` paints."""
+    """Return the status as something `rich` paints: a line a process, and below in whole what is wrong.
+
+    On a narrow terminal the words at the right end are cut, never the figures; no line becomes two.
+    """
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
+
+    def quiet(words: str) -> Text:
+        return Text(words, style="dim", no_wrap=True, overflow="ellipsis")
 
     head = Text.assemble(
         (f"{status.robot}  ", "bold"),
@@ -80,28 +104,45 @@ def table(status: Status, elapsed_s: float | None) -> Any:
         "" if status.clock is None else f"   clock {status.clock}",
     )
     rates = "   ".join(f"{name} {rate:.1f}/s" for name, rate in status.rates_hz.items())
-    hops = Table("last minute", "p50 ms", "p99 ms", "max ms", "", box=None, pad_edge=False)
-    for column in (1, 2, 3):
-        hops.columns[column].justify = "right"
+    hops = _columns(Table, "last minute", "p50 ms", "p99 ms", "max ms")
     for hop, ms in status.hops_ms.items():
-        values = [f"{ms[name]:.1f}" for name in ("p50", "p99", "max")]
-        hops.add_row(hop, *values, Text(HOPS[hop], style="dim"))
-    titles = ("process", "state", "cpu %", "MB", "lost", "twice", "queue ms", "late", "restarts", "")
-    processes = Table(*titles, box=None, pad_edge=False)
-    for column in range(2, 9):
-        processes.columns[column].justify = "right"
+        hops.add_row(hop, *(f"{ms[name]:.1f}" for name in ("p50", "p99", "max")), quiet(HOPS[hop]))
+    processes = _columns(Table, "process", "cpu %", "MB", "queue ms")
+    troubles = Text()
     for line in status.processes:
         colour = _COLOURS.get(line.level, "white")
         processes.add_row(
-            line.name,
-            Text(line.state, style=colour),
+            Text(line.name, style=colour),
             f"{line.cpu_percent:.0f}",
             f"{line.rss_mb:.0f}",
-            str(line.lost),
-            str(line.duplicates),
             f"{line.queue_ms:.0f}",
-            str(line.deadline_misses),
-            str(line.restarts),
-            Text(line.text, style="" if line.level == "ok" else colour, overflow="ellipsis"),
+            Text(_words(line), no_wrap=True, overflow="ellipsis"),
         )
-    return Group(head, rates, hops, processes)
+        if line.level != "ok" and line.text:
+            troubles.append(f"{line.name}: {line.text}\n", style=colour)
+    troubles.rstrip()
+    return Group(head, rates, hops, processes, *([troubles] if troubles else []))
+
+
+def _columns(table: Any, first: str, *figures: str) -> Any:
+    """Return an empty table of a name, figures that are never cut, and words that may be."""
+    made = table(box=None, pad_edge=False)
+    made.add_column(first, no_wrap=True)
+    for title in figures:
+        made.add_column(title, justify="right", no_wrap=True)
+    made.add_column("")
+    return made
+
+
+def _words(line: ProcessLine) -> str:
+    """Return a process's state if it is news, what it counted, and what it says where nothing is wrong."""
+    counts = {
+        "lost": line.lost,
+        "twice": line.duplicates,
+        "late": line.deadline_misses,
+        "restarts": line.restarts,
+    }
+    said = line.text if line.level == "ok" and line.text != "running" else ""
+    parts = [] if line.state == "running" and said else [line.state]
+    parts += [f"{name} {count}" for name, count in counts.items() if count]
+    return ", ".join(filter(None, (*parts, said)))

@@ -4,14 +4,15 @@ import argparse
 import json
 import time
 
+from runtime.cli.which_robot import add_robot
+
 _LISTEN_S = 1.6
 """Every process speaks once a second; one look waits a little longer than that."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
-    parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
-    parser.add_argument("--domain", type=int, default=0, help="ROS domain (default 0)")
+    add_robot(parser, domain=True)
     parser.add_argument("--once", action="store_true", help="look once and end; 1 if something is wrong")
     parser.add_argument("--json", action="store_true", help="machine-readable, one object a line")
 

@@ -9,11 +9,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from runtime.cli.which_robot import add_robot
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
-    parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
-    parser.add_argument("--domain", type=int, default=0, help="ROS domain (default 0)")
+    add_robot(parser, domain=True)
     parser.add_argument("--name", default="", help="who you are, for others (default user@machine/process)")
     parser.add_argument(
         "--stick", choices=("any", "keyboard", "gamepad"), default="any", help="what to steer with"

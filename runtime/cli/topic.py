@@ -5,6 +5,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.which_robot import add_robot
 from runtime.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -13,8 +14,6 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
-    parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
-    parser.add_argument("--domain", type=int, default=0, help="ROS domain (default 0)")
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     actions.add_parser("list", help="names, types, and who publishes and reads them")
     for name, text in (
@@ -28,6 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action.add_argument("--within", type=float, default=0.0, metavar="S", help="end after S seconds")
         if name == "echo":
             action.add_argument("--full", action="store_true", help="arrays in whole, however long")
+    add_robot(parser, domain=True, actions=actions.choices.values())
 
 
 def run(args: argparse.Namespace) -> int:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 _TURN_S = 0.05
 _NOTIFY_S = 0.5
 _TELL_S = 2.0
+_ORDINARY = ("starts", "ready", "ended")
+"""What every process does once in a run."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -127,7 +129,9 @@ def _run(args: argparse.Namespace, file: Path) -> int:
             out,
             remote=remote,
             open_bus=ZenohBus,
-            on_event=lambda event: screen.say(f"  {event.node}: {_in_short(live, event)}"),
+            on_event=lambda event: screen.say(
+                f"  {event.node}: {_in_short(live, event)}", ordinary=event.text in _ORDINARY
+            ),
         )
         try:
             interrupted = _drive(live, screen, args.duration)
@@ -159,8 +163,8 @@ def _has_screen() -> bool:
 
 
 def _check(file: Path, headless: bool) -> dict[str, Any]:
-    """Check every node in a process of its own: the modules are heavy, and this one stays light."""
-    from runtime.cli.compiling import compile_all
+    """Check every node, in a process of its own: modules are heavy, this one stays light. Then compile."""
+    from runtime.cli.compiling import UNCOMPILED, compile_all
     from runtime.cli.patience import told
     from runtime.clock import Clock
     from runtime.errors import ConfigError, HallwayError
@@ -170,10 +174,10 @@ def _check(file: Path, headless: bool) -> dict[str, Any]:
     if headless:
         command.append("--headless")
     environment = child_environment(Clock())
-    compile_all(environment, _tell)
-    with told(_tell, "still loading the modules of the graph; what was never compiled is compiled now ..."):
-        check = subprocess.run(command, capture_output=True, text=True, env=environment)
+    with told(_tell, "still loading the modules of the graph ..."):
+        check = subprocess.run(command, capture_output=True, text=True, env={**environment, **UNCOMPILED})
     if check.returncode == 0:
+        compile_all(environment, _tell)
         return dict(json.loads(check.stdout))
     lines = check.stderr.strip().splitlines() or [f"exit code {check.returncode}"]
     if check.returncode == ConfigError.exit_code:

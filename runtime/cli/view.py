@@ -12,6 +12,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.which_robot import add_robot
 from runtime.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -23,19 +24,25 @@ _TURN_S = 0.1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
     parser.add_argument(
-        "file", type=Path, nargs="?", help="recording (.mcap or .rrd) or session; else a running robot"
+        "file",
+        type=Path,
+        nargs="?",
+        help="recording (.mcap or .rrd), session or results folder; else a running robot",
     )
-    parser.add_argument("--robot", default="robot", metavar="NAME", help="which robot (default robot)")
-    parser.add_argument("--domain", type=int, default=0, help="ROS domain (default 0)")
+    add_robot(parser, domain=True)
     parser.add_argument(
         "--connect", metavar="HOST[:PORT]", help="where the paired robot is now, if it has moved"
     )
     parser.add_argument("--web", action="store_true", help="as a page at 127.0.0.1 instead of a window")
     parser.add_argument("--save", type=Path, metavar="F.rrd", help="into a file instead of a window")
-    parser.add_argument("--port", type=int, default=9876, help="of the picture (default 9876)")
-    parser.add_argument("--web-port", type=int, default=9090, help="of the page (default 9090)")
+    parser.add_argument("--port", type=int, default=9876, metavar="N", help="of the picture (default 9876)")
+    parser.add_argument("--web-port", type=int, default=9090, metavar="N", help="of the page (default 9090)")
     parser.add_argument(
-        "--memory", type=int, default=512, metavar="MB", help="of the picture; the oldest goes first"
+        "--memory",
+        type=int,
+        default=512,
+        metavar="MB",
+        help="of the picture; the oldest goes first (default 512)",
     )
 
 

@@ -24,8 +24,8 @@ _WISHES = {0: Intent.ARM, 7: Intent.ARM, 1: Intent.STOP, 3: Intent.RESET}  # A a
 _KEEP = 2  # X
 
 HELP = (
-    "hold a shoulder button and use the left stick; A arms, B is the emergency stop, Y resets it, "
-    "X keeps the last minutes"
+    "hold a shoulder button and use the left stick; A arms, B is the emergency stop,\n"
+    "Y resets it, X keeps the last minutes"
 )
 
 

@@ -38,8 +38,9 @@ _KEEP = "k"
 _FASTER = {"+": 0.1, "=": 0.1, "-": -0.1}
 
 HELP = (
-    "Enter arms the robot   hold arrows or W A S D to drive, Q E for curves   + - speed\n"
-    "space: emergency stop, R resets it   K keeps the last minutes   Ctrl-C ends"
+    "Enter arms the robot   hold arrows or W A S D to drive, Q E for curves\n"
+    "+ - speed   space: emergency stop, R resets it   K keeps the last minutes\n"
+    "Ctrl-C ends"
 )
 
 

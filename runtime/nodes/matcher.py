@@ -119,7 +119,7 @@ def publish(port: Port, match: Match, laser_in_base: mounting.LaserInBase | None
     port.publish("tf", mounting.tf(motion.stamp_ns, motion.odom_t_laser, laser_in_base))
     state = match.state.name
     if match.blind_rad is not None:
-        state += f" ({np.degrees(match.blind_rad):.0f} deg)"
+        state += f" ({round(float(np.degrees(match.blind_rad)))} deg)"
     port.report(
         _LEVELS[match.state],
         _words(match),
@@ -133,7 +133,7 @@ def _words(match: Match) -> str:
     if match.state is Tracking.LOST:
         return "lost: the scan fits nowhere near; hold the laser still, or bring it back to where it was"
     if match.state is Tracking.DEGENERATE:
-        return "one direction is not seen; the motion goes on as it was along it"
+        return "one direction is not seen, the motion is taken to go on along it; keep your speed to a corner"
     return "tracking"
 
 

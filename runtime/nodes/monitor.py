@@ -17,6 +17,13 @@ PUBLISHES = ()
 _TURN_S = 0.05
 _REPORT_NS = 1_000_000_000
 
+REASONS = {
+    "scan": "the scans come late: look at the laser's line, end other programs",
+    "match": "the matcher waits for the processor: end other programs",
+    "map": "the mapper takes long: fewer mapper.mapping.particles, end other programs",
+}
+"""What is wrong and what to do, by the hop that is slow."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Config:
@@ -55,9 +62,8 @@ def run(port: Port, config: Config) -> int:
                 values[f"{name}.rate_hz"] = f"{rates[name].update(now_ns / 1e9, inbox.received):.2f}"
             p99_ms = journeys.hops["whole"].recent.summary(now_ns).get("p99", 0.0)
             if p99_ms > config.late_ms:
-                port.report(
-                    "warn", f"poses are late: p99 {p99_ms:.0f} ms, limit {config.late_ms:g} ms", **values
-                )
+                late = f"poses are late: p99 {p99_ms:.0f} ms, limit {config.late_ms:g} ms"
+                port.report("warn", f"{late}; {reason(journeys, now_ns)}", **values)
             else:
                 port.report("ok", used(journeys), **values)
     port.report("ok", used(journeys), **{**values, **journeys.values(port.clock.now_ns())})
@@ -68,6 +74,14 @@ def run(port: Port, config: Config) -> int:
         text = json.dumps({"unit": "ms", "hops": hops, **journeys.counts()}, indent=2)
         (port.results_dir / "latency.json").write_text(text + "\n", encoding="utf-8")
     return 0
+
+
+def reason(journeys: Journeys, now_ns: int) -> str:
+    """Return where the slow scans of the last minute lost most of their time, and what helps."""
+    lost_ms = {hop: journeys.hops[hop].recent.summary(now_ns).get("p99", 0.0) for hop in REASONS}
+    # A scan takes a revolution, however fast the machine is.
+    lost_ms["scan"] -= journeys.hops["scan"].recent.summary(now_ns).get("p50", 0.0)
+    return REASONS[max(lost_ms, key=lambda hop: lost_ms[hop])]
 
 
 def used(journeys: Journeys) -> str:

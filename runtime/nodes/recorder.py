@@ -182,7 +182,7 @@ def _tell(port: Port, recording: Recording) -> None:
     if recording.stopped:
         port.report("error", f"{recording.stopped}: {counts.unwritten} messages not recorded", **values)
     elif counts.total_lost:
-        port.report("warn", f"{counts.total_lost} messages lost", **values)
+        port.report("warn", counts.words(), **values)
     else:
         port.report("ok", "recording", **values)
 

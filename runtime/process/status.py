@@ -62,7 +62,7 @@ class Status:
         return values | {"clock_offset_ns": offset_ns, "clock_round_trip_ns": round_trip_ns}
 
     def line(self) -> str:
-        """Return it in one line."""
+        """Return it in one line, without what is wrong; see `troubles`."""
         parts = [self.tracking or "starting"]
         rates = [f"{name} {rate:.1f}/s" for name, rate in self.rates_hz.items() if not name.startswith("map")]
         if rates:
@@ -79,8 +79,11 @@ class Status:
             parts.append(f"{self.mapped} of {self.scans} scans")
         if self.clock is not None:
             parts.append(f"clock {self.clock}")
-        parts += [f"{p.name}: {p.text or p.state}" for p in self.processes if p.level != "ok"]
         return " | ".join(parts)
+
+    def troubles(self) -> dict[str, str]:
+        """Return what is wrong, by the process that says so."""
+        return {p.name: p.text or p.state for p in self.processes if p.level != "ok"}
 
 
 def status_of(robot: str, vitals: Mapping[str, Vital], clock: Offset | None = None) -> Status:

@@ -18,6 +18,7 @@ from runtime.recordings.names import RING_DIGITS, SPLIT_DIGITS, earlier_in_ring,
 DISK_FULL = "the disk was full"
 FLUSH_NS = 1_000_000_000
 RING_FILES = 10
+_TOPICS_TOLD = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,6 +72,14 @@ class Counts:
     def total_lost(self) -> int:
         """Everything that should be in the file and is not."""
         return self.unwritten + sum(self.lost.values())
+
+    def words(self) -> str:
+        """Return in words what should be in the file and is not, the topic that lost most first, and why."""
+        by_topic = sorted(self.lost.items(), key=lambda one: -one[1])
+        parts = [f"{name} {count}" for name, count in by_topic if count]
+        parts[_TOPICS_TOLD:] = ["others"] * (len(parts) > _TOPICS_TOLD)
+        which = f": {', '.join(parts)}; the machine or the link was too busy" if parts else ""
+        return f"{self.total_lost} messages lost{which}"
 
 
 class Recording:
@@ -235,7 +244,7 @@ class Recording:
     def _write_status(self, writer: McapWriter, now_ns: int) -> None:
         values = [KeyValue(key=key, value=value) for key, value in self._summary().items()]
         level = 1 if self.counts.total_lost else 0
-        text = f"{self.counts.total_lost} messages lost" if level else "recording"
+        text = self.counts.words() if level else "recording"
         status = DiagnosticStatus(
             level=level, name=f"{self._robot}/{STATUS_TOPIC}", message=text, hardware_id="", values=values
         )

@@ -94,12 +94,15 @@ def strip(x: NDArray[np.float64], states: ArrayLike, colours: Mapping[str, str])
 
 
 def cloud(poses: NDArray[np.float64], title: str) -> str:
-    """Draw poses (P, 3) as strokes, with equal scales, x to the right and y up."""
+    """Draw poses (P, 3) as strokes, with equal scales, x to the right and y up; down to a millimetre."""
     size = 320
-    centre = poses[:, :2].mean(axis=0)
-    reach = max(float(np.abs(poses[:, :2] - centre).max()), 0.05) * 1.3
-    scale = (size / 2 - 20) / reach
-    body = [f'<text x="8" y="16" font-size="13">{html.escape(title)}</text>']
+    centre = (poses[:, :2].min(axis=0) + poses[:, :2].max(axis=0)) / 2
+    reach = max(float(np.abs(poses[:, :2] - centre).max()), 0.005) * 1.3
+    scale = (size / 2 - 30) / reach
+    body = [
+        f'<rect x="1" y="1" width="{size - 2}" height="{size - 2}" fill="none" stroke="#c4cad0"/>',
+        f'<text x="8" y="18" font-size="13">{html.escape(title)}</text>',
+    ]
     for x, y, yaw in poses:
         a, b = size / 2 + (x - centre[0]) * scale, size / 2 - (y - centre[1]) * scale
         c, d = a + 12 * np.cos(yaw), b - 12 * np.sin(yaw)
@@ -107,8 +110,9 @@ def cloud(poses: NDArray[np.float64], title: str) -> str:
         body.append(f'<circle cx="{a:.1f}" cy="{b:.1f}" r="2" fill="#8c3caa"/>')
     bar = 10.0 ** np.floor(np.log10(reach))
     end = 8 + bar * scale
+    length = f"{bar:g} m" if bar >= 1.0 else f"{1e3 * bar:g} mm"
     body.append(f'<path d="M8 {size - 10}H{end:.1f}" stroke="#464e58" stroke-width="2"/>')
-    body.append(f'<text x="{end + 6:.1f}" y="{size - 5}" font-size="13">{bar:g} m</text>')
+    body.append(f'<text x="{end + 6:.1f}" y="{size - 5}" font-size="13">{length}</text>')
     return _svg(size, body, size)
 
 

@@ -20,6 +20,8 @@ TRUTH = (120, 128, 136)
 GUESSES = (178, 132, 198)
 START = (22, 135, 84)
 INK = (70, 78, 88)
+KEPT_OUT = (222, 70, 70)
+"""Laid thinly over the ground that a robot shall keep out of."""
 
 _FINE = 2
 """Everything is drawn at this multiple and shrunk once, which smooths lines and letters."""
@@ -52,6 +54,7 @@ def render(
     others: Sequence[NDArray[np.float64]] = (),
     hits: ArrayLike | None = None,
     hit_px: float = 1.0,
+    keep_out: NDArray[np.bool_] | None = None,
     caption: str = "",
     size_px: int = 1400,
     margin_m: float = 0.5,
@@ -68,18 +71,22 @@ def render(
         others: Ways (K, 2) of other guesses, drawn thinly in purple under the trajectory.
         hits: (M, 2) measured points, m, map frame, drawn in blue.
         hit_px: Half the edge of each hit.
+        keep_out: (rows, cols) ground that a robot shall keep out of, tinted red.
         caption: Under the map, in Latin letters; one line where there is room for it.
         size_px: Longest side of the map in the picture; the cells are whole pixels where they fit.
         margin_m: Ground kept around what is known.
         bounds_m: Least x and y, greatest x and y to show, map frame; whatever is known or drawn if None.
 
     Raises:
-        ValueError: `probability` is not two-dimensional, or `resolution_m` is not positive.
+        ValueError: `probability` is not two-dimensional, `keep_out` has another shape, or `resolution_m` is
+            not positive.
     """
     if probability.ndim != 2 or probability.size == 0:
         raise ValueError(f"probability has shape {probability.shape}, must be (rows, cols)")
     if not resolution_m > 0.0:
         raise ValueError(f"resolution_m = {resolution_m}, must be positive")
+    if keep_out is not None and keep_out.shape != probability.shape:
+        raise ValueError(f"keep_out has shape {keep_out.shape}, must be {probability.shape}")
     path, path_truth, points = (_points(a) for a in (trajectory, truth, hits))
     guessed = [_points(way) for way in others]
     if bounds_m is None:
@@ -89,8 +96,14 @@ def render(
     window, corner_m = _window(probability, resolution_m, origin_m, cells)
     shrink = max(1, -(-max(window.shape) // size_px))
     window = _coarse(window, shrink)
+    colours = _colours(window)
+    kept = keep_out if keep_out is not None and keep_out.any() else None
+    if kept is not None:
+        shown = np.where(kept, np.float32(1.0), np.float32(np.nan))
+        shown, _ = _window(shown, resolution_m, origin_m, cells)
+        colours = _tinted(colours, ~np.isnan(_coarse(shown, shrink)))
     cell_px = max(1, size_px // max(window.shape))
-    ground = Image.fromarray(_colours(window)[::-1])
+    ground = Image.fromarray(colours[::-1])
     rows, cols = window.shape
     canvas = ground.resize((cols * cell_px * _FINE, rows * cell_px * _FINE), Image.Resampling.NEAREST)
     frame = _Frame(corner_m, cell_px * _FINE / (resolution_m * shrink), canvas.height)
@@ -99,7 +112,7 @@ def render(
         if len(way) > 1:
             draw.line(frame.px(way), fill=GUESSES, width=_FINE)
     _draw_paths(draw, frame, path, path_truth, points, hit_px * _FINE)
-    return _with_legend(canvas, frame, caption, marked=len(path) > 0)
+    return _with_legend(canvas, frame, caption, marked=len(path) > 0, kept=kept is not None)
 
 
 def png(image: Image.Image) -> bytes:
@@ -174,6 +187,12 @@ def _colours(window: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.where(np.isnan(window)[..., None], np.asarray(UNKNOWN), np.round(shade)).astype(np.uint8)
 
 
+def _tinted(colours: NDArray[np.uint8], where: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return colours (rows, cols, 3) with a thin red over some of the cells (rows, cols)."""
+    tinted = 0.6 * colours + 0.4 * np.asarray(KEPT_OUT, dtype=np.float64)
+    return np.where(where[..., None], np.round(tinted), colours).astype(np.uint8)
+
+
 def _draw_paths(
     draw: ImageDraw.ImageDraw,
     frame: _Frame,
@@ -222,7 +241,9 @@ def _arrow(draw: ImageDraw.ImageDraw, at: tuple[float, float], heading_rad: floa
         draw.polygon(corners, fill=colour)
 
 
-def _with_legend(canvas: Image.Image, frame: _Frame, caption: str, *, marked: bool) -> Image.Image:
+def _with_legend(
+    canvas: Image.Image, frame: _Frame, caption: str, *, marked: bool, kept: bool
+) -> Image.Image:
     """Put a strip under the map: scale bar, caption, and on the right what the marks mean.
 
     A caption that is too long for its place beside the bar stands in lines of its own under it.
@@ -249,6 +270,11 @@ def _with_legend(canvas: Image.Image, frame: _Frame, caption: str, *, marked: bo
     for number, line in enumerate(below, start=1):
         draw.text((left, level + number * _LINE_PX * _FINE), line, fill=INK, font=font, anchor="lm")
     taken = right + 12 * _FINE + draw.textlength(text, font=font)
+    if kept and canvas.width - taken > 262 * _FINE:
+        at, edge = canvas.width - 236 * _FINE, 7 * _FINE
+        pale = _tinted(np.full((1, 1, 3), FREE, dtype=np.uint8), np.ones((1, 1), dtype=np.bool_))[0, 0]
+        draw.rectangle((at - edge, level - edge, at + edge, level + edge), fill=tuple(pale.tolist()))
+        draw.text((at + 12 * _FINE, level), "kept out", fill=INK, font=font, anchor="lm")
     if marked and canvas.width - taken > 150 * _FINE:
         _ring(draw, (canvas.width - 128 * _FINE, level))
         draw.text((canvas.width - 112 * _FINE, level), "start", fill=INK, font=font, anchor="lm")

@@ -172,8 +172,10 @@ def _match(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
             _stretches(run.map_t_laser, words, elapsed_s),
         ]
     if run.score is not None:
+        # The first scan had nothing to be matched with.
+        score = np.r_[np.nan, run.score[1:]]
         parts.append(
-            chart.lines(elapsed_s, {"score": run.score}, "score of the match, 0 to 1", low=0.0, high=1.0)
+            chart.lines(elapsed_s, {"score": score}, "score of the match, 0 to 1", low=0.0, high=1.0)
         )
     if run.sigma_m is not None:
         millimetres = {"worst direction": 1e3 * run.sigma_m[:, 1], "best direction": 1e3 * run.sigma_m[:, 0]}
@@ -208,7 +210,7 @@ def _stretches(
     bad.sort(key=lambda be: elapsed_s[be[0]] - elapsed_s[be[1]])
     lines = []
     for begin, end in bad[:_LATE_STRETCHES]:
-        x, y, _ = map_t_laser[begin]
+        x, y, _ = np.round(map_t_laser[begin], 1) + 0.0  # no minus before a zero
         lines.append(
             f"{states[begin]} from {elapsed_s[begin]:.1f} to {elapsed_s[end]:.1f} s, at ({x:.1f}, {y:.1f}) m"
         )
@@ -220,6 +222,10 @@ def _stretches(
 def _particles(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
     parts = []
     if run.n_eff is not None:
+        parts.append(
+            "<p>Each particle is a way that the laser may have come, with a map of its own. On new ground "
+            "all of them weigh the same; on old ground those weigh more whose maps the scans fit.</p>"
+        )
         title = "particles that share the weight"
         if run.resampled is not None:
             title += f"; selected {int(np.count_nonzero(run.resampled))} times"
@@ -235,7 +241,7 @@ def _particles(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
         title = title if len(alone) else "their family tree"
         parts.append(chart.tree(run.ancestors[:, max(since, len(many) - TREE_KEYS) :], title))
     if run.particles is not None and len(run.particles):
-        parts.append(chart.cloud(run.particles, "the last particles, m"))
+        parts.append(chart.cloud(run.particles, "the last particles, from above"))
     return _section("Particles", parts)
 
 

@@ -73,7 +73,12 @@ def save(folder: Path, result: RunResult) -> None:
             write_keep_out(partial, result.keep_out, result.grid)
         grid = result.grid
         picture = render(
-            grid.probability, grid.resolution_m, grid.origin_m, result.path_m, caption=result.caption
+            grid.probability,
+            grid.resolution_m,
+            grid.origin_m,
+            result.path_m,
+            keep_out=result.keep_out,
+            caption=result.caption,
         )
         (partial / "map.png").write_bytes(png(picture))
         if result.report:

@@ -1,12 +1,10 @@
 """The base node with its watchdog on an emulated robot: what it says, whom it obeys, how it leaves."""
 
-import importlib.util
 import itertools
 import logging
 import os
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -20,11 +18,7 @@ from runtime import messages
 from runtime.bus.memory import MemoryBus
 from runtime.nodes import base
 from runtime.process.node import BusPort
-
-_spec = importlib.util.spec_from_file_location("create_rig", Path(__file__).with_name("create_rig.py"))
-create_rig = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(create_rig)
-Rig, Operator, wait = create_rig.Rig, create_rig.Operator, create_rig.wait
+from tests.integration.create_rig import Operator, Rig, wait
 
 
 def lone_port(tmp_path):

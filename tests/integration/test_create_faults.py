@@ -3,9 +3,7 @@
 After each: zeros on the wire and nothing but zeros until an operator arms again, or no harm at all.
 """
 
-import importlib.util
 import time
-from pathlib import Path
 
 import pytest
 
@@ -14,11 +12,8 @@ from drivers.create.emulator import CreateEmulator
 from drivers.create.operators import Intent
 from drivers.create.protocol import Mode
 from drivers.create.stream import Rule
-
-_spec = importlib.util.spec_from_file_location("create_rig", Path(__file__).with_name("create_rig.py"))
-create_rig = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(create_rig)
-Rig, wait = create_rig.Rig, create_rig.wait
+from tests.integration import create_rig
+from tests.integration.create_rig import Rig, wait
 
 STOP_MS = 1000.0
 """Far over the 0.35 s that tests/bench/create_stop_times.py measures: a busy machine is no failure."""

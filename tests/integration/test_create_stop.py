@@ -4,16 +4,12 @@ Real processes: `hallway up`, the base node, its watchdog, `hallway teleop` at a
 hundred times over, is printed by `tests/bench/create_stop_times.py`.
 """
 
-import importlib.util
 import os
 import subprocess
-from pathlib import Path
 
 import pytest
 
-_spec = importlib.util.spec_from_file_location("create_stage", Path(__file__).with_name("create_stage.py"))
-create_stage = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(create_stage)
+from tests.integration import create_stage
 
 RUNS = 2
 STOP_MS = 1500.0

@@ -23,6 +23,11 @@ def blocks(name, language):
     return re.findall(rf"```{language}\n(.*?)```", PAGES[name].read_text(), flags=re.DOTALL)
 
 
+def prose_of(page):
+    """Return a page without its blocks of code."""
+    return re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+
+
 def calls():
     """Every call of ours in a shell block of a page: (page, words)."""
     found = set()
@@ -79,10 +84,24 @@ def test_cheap_calls_do_what_the_pages_promise():
 
 def test_every_link_of_a_page_leads_somewhere():
     for name, page in PAGES.items():
-        prose = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
-        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", prose):
+        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", prose_of(page)):
             if not target.startswith(("http://", "https://")):
                 assert (page.parent / target).is_file(), f"{name}: {target}"
+
+
+def test_every_link_into_a_page_finds_its_heading_there():
+    prose = {
+        name: re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL) for name, page in PAGES.items()
+    }
+    looked = 0
+    for name, text in prose.items():
+        for target, place in re.findall(r"\]\(([^)#:]*)#([^)]*)\)", text):
+            there = prose[Path(target).name if target else name]
+            heads = re.findall(r"^#+ (.*)$", there, flags=re.MULTILINE)
+            places = [re.sub(r"[^\w -]", "", head.lower()).replace(" ", "-") for head in heads]
+            assert place in places or f'<a id="{place}">' in there, f"{name}: {target}#{place}"
+            looked += 1
+    assert looked >= 5
 
 
 def test_pictures_of_the_pages_are_small():

@@ -29,6 +29,15 @@ SCAN = McapChannel("/robot/scan", "sensor_msgs/msg/LaserScan", {"gid": "aa" * 16
 COMMAND = McapChannel("/robot/cmd_vel", "geometry_msgs/msg/TwistStamped", {"gid": "bb" * 16})
 
 
+def scans_written(path, numbers, *about):
+    """Write a recording of scans, twenty a second."""
+    writer = McapWriter(path, *about)
+    for n in numbers:
+        at_ns = 1_700_000_000 * S + n * S // 20
+        writer.add(SCAN, n, at_ns, at_ns, payload(n))
+    writer.finish()
+
+
 def payload(n):
     ranges = np.random.default_rng(n).uniform(0.1, 5, 682).astype(np.float32)
     head = header(1_700_000_000 * S + n * S // 10, "laser")
@@ -66,18 +75,31 @@ def desk(tmp_path):
             child.communicate()
 
 
-def test_what_is_replayed_is_recorded_byte_for_byte(desk, recording, tmp_path):
-    player = desk("replay", recording, "--as", "ghost", "--wait", "--json")
+def played_as_ghost(desk, tmp_path, *words):
+    """Start a replay of `run.mcap` that waits for a listener; return it when its hub is there."""
+    player = desk("replay", "run.mcap", "--as", "ghost", "--wait", "--json", *words)
     hub = tmp_path / "run" / "ghost" / "hub.sock"
     _wait(lambda: hub.exists() or player.poll() is not None)
+    return player
+
+
+def copied(desk, tmp_path, *words):
+    """Replay `run.mcap` and record it anew, in two commands; return what each said, and the copy's reader."""
+    player = played_as_ghost(desk, tmp_path, *words)
     recorder = desk("record", "--robot", "ghost", "--out", tmp_path / "copy.mcap", "--json")
-    played, told = player.communicate(timeout=60)
-    assert player.returncode == 0, told
-    recorded, told = recorder.communicate(timeout=30)
-    assert recorder.returncode == 0, told
-    assert json.loads(played)["sent"] == {"scan": 40}
-    assert json.loads(recorded)["lost"] == 0
-    messages = list(McapReader(tmp_path / "copy.mcap").messages())
+    said = []
+    for command in (player, recorder):
+        out, told = command.communicate(timeout=60)
+        assert command.returncode == 0, told
+        said.append(json.loads(out))
+    return *said, McapReader(tmp_path / "copy.mcap")
+
+
+def test_what_is_replayed_is_recorded_byte_for_byte(desk, recording, tmp_path):
+    played, recorded, reader = copied(desk, tmp_path)
+    assert played["sent"] == {"scan": 40}
+    assert recorded["lost"] == 0
+    messages = list(reader.messages())
     scans = [m for m in messages if m.channel.topic == "/ghost/scan"]
     assert [m.payload for m in scans] == [payload(n) for n in range(1, 41)]
     arrivals = np.array([m.log_ns for m in scans]) / 1e9
@@ -87,11 +109,7 @@ def test_what_is_replayed_is_recorded_byte_for_byte(desk, recording, tmp_path):
 
 
 def test_what_is_missing_from_the_recording_is_a_table_and_exit_code_4(desk, tmp_path):
-    writer = McapWriter(tmp_path / "holed.mcap")
-    for n in (*range(1, 11), *range(21, 31)):
-        at_ns = 1_700_000_000 * S + n * S // 20
-        writer.add(SCAN, n, at_ns, at_ns, payload(n))
-    writer.finish()
+    scans_written(tmp_path / "holed.mcap", (*range(1, 11), *range(21, 31)))
     player = desk("replay", "holed.mcap", "--as", "ghost", "--rate", "0")
     out, told = player.communicate(timeout=60)
     assert player.returncode == 4, told
@@ -106,9 +124,7 @@ def test_what_is_missing_from_the_recording_is_a_table_and_exit_code_4(desk, tmp
 
 
 def test_a_robot_that_speaks_itself_is_not_played_over(desk, recording, tmp_path):
-    first = desk("replay", recording, "--as", "ghost", "--wait")
-    hub = tmp_path / "run" / "ghost" / "hub.sock"
-    _wait(lambda: hub.exists() or first.poll() is not None)
+    first = played_as_ghost(desk, tmp_path)
     for _ in range(20):  # its tokens come a moment after its hub
         second = desk("replay", recording, "--as", "ghost", "--rate", "0")
         _, told = second.communicate(timeout=30)
@@ -130,20 +146,8 @@ def _wait(done, within_s=20.0):
 
 def test_a_replay_in_a_domain_of_its_own_is_recorded_there_as_the_run_that_it_was(desk, tmp_path):
     about = {"hallway": {"robot": "robot", "seed": "5"}}
-    writer = McapWriter(tmp_path / "run.mcap", about, {"config.yaml": b"nodes: {}\n"})
-    for n in range(1, 21):
-        at_ns = 1_700_000_000 * S + n * S // 20
-        writer.add(SCAN, n, at_ns, at_ns, payload(n))
-    writer.finish()
-    player = desk("replay", "run.mcap", "--as", "ghost", "--wait", "--domain", "7", "--json")
-    hub = tmp_path / "run" / "ghost" / "hub.sock"
-    _wait(lambda: hub.exists() or player.poll() is not None)
-    recorder = desk("record", "--robot", "ghost", "--out", tmp_path / "copy.mcap", "--json")
-    _, told = player.communicate(timeout=60)
-    assert player.returncode == 0, told
-    _, told = recorder.communicate(timeout=30)
-    assert recorder.returncode == 0, told
-    reader = McapReader(tmp_path / "copy.mcap")
+    scans_written(tmp_path / "run.mcap", range(1, 21), about, {"config.yaml": b"nodes: {}\n"})
+    _, _, reader = copied(desk, tmp_path, "--domain", "7")
     scans = [m for m in reader.messages() if m.channel.name == "scan"]
     assert len(scans) == 20
     assert scans[0].channel.metadata["zenoh_key"].startswith("7/ghost/scan/")

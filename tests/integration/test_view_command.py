@@ -1,25 +1,20 @@
 """`hallway view` as a person types it."""
 
-import importlib.util
 import os
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
 from runtime import messages
 from runtime.cli import main
-from runtime.formats.mcap_log import McapChannel
+from runtime.formats.mcap_log import McapChannel, McapReader
 from runtime.nodes.viewing import server as viewer_server
 from runtime.recordings.recording import Recording, RecordingConfig
 from runtime.topics import topic
-
-_spec = importlib.util.spec_from_file_location("viewer_story", Path(__file__).with_name("viewer_story.py"))
-story = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(story)
+from tests.integration import viewer_story as story
 
 
 @pytest.fixture
@@ -46,6 +41,19 @@ def test_a_recording_becomes_a_picture_in_a_file(recording, tmp_path, capsys):
     stats = entities(file)
     assert "/world/map: " in stats
     assert "/latency/scan_to_pose: " in stats
+
+
+def test_a_picture_of_a_recording_without_a_map_brings_its_layout_too(recording, tmp_path):
+    bare = Recording(tmp_path / "bare.mcap", "robot", RecordingConfig(min_free_mb=0), story.BEGIN_NS)
+    for message in McapReader(recording).messages():
+        if message.channel.name in ("scan", "pose"):
+            bare.add(message.channel, message.sequence, message.log_ns, message.publish_ns, message.payload)
+    bare.close(story.stamp(50))
+    file = tmp_path / "bare.rrd"
+    assert main(["view", str(tmp_path / "bare.mcap"), "--save", str(file)]) == 0
+    command = [viewer_server.program(), "rrd", "print", str(file)]
+    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "make_active: true" in told
 
 
 @pytest.mark.parametrize("kind", ["mcap", "rrd"])

@@ -1,6 +1,5 @@
 """The viewer as a whole: its process, its program, and the picture that a person sees."""
 
-import importlib.util
 import os
 import re
 import signal
@@ -20,16 +19,8 @@ from runtime.nodes.viewing import scene as viewer_scene
 from runtime.nodes.viewing import server as viewer_server
 from runtime.nodes.viewing.painter import WAITING_MAX, Painter
 from runtime.process.node import BusPort
-
-
-def load(name):
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-story, browser = load("viewer_story"), load("browser")
+from tests.integration import browser
+from tests.integration import viewer_story as story
 
 RED, BLUE, WHITE, WALL = (214, 40, 40), (38, 99, 214), (255, 255, 255), (28, 28, 28)
 WARN = (255, 122, 12)  # the program's own

@@ -1,8 +1,5 @@
 """From messages to drawings: what is drawn where, and how often."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,10 +8,7 @@ from runtime.nodes.convert import transform_to_message
 from runtime.nodes.viewing import scene as viewer_scene
 from runtime.nodes.viewing import shapes as viewer_shapes
 from runtime.nodes.viewing.scene import Scene
-
-_spec = importlib.util.spec_from_file_location("viewer_story", Path(__file__).with_name("viewer_story.py"))
-story = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(story)
+from tests.integration import viewer_story as story
 
 
 class Canvas:

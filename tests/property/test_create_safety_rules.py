@@ -1,18 +1,11 @@
 """Whatever happens in whatever order: the wheels turn only while everything is right."""
 
-import importlib.util
-from pathlib import Path
-
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.create.operators import Intent
 from drivers.create.safety import State
-
-_path = Path(__file__).parents[1] / "unit" / "create_course.py"
-_spec = importlib.util.spec_from_file_location("create_course", _path)
-create_course = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(create_course)
+from tests.unit import create_course
 
 telemetry = st.sampled_from(
     [

@@ -1,6 +1,6 @@
 """What the benches of hours and of blows call a fault, on runs that are written down here."""
 
-import importlib.util
+import importlib
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,14 +15,7 @@ def bench(name):
     # A bench is run from its folder, and finds its neighbours there.
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(BENCH)
-        return _loaded(name)
-
-
-def _loaded(name):
-    spec = importlib.util.spec_from_file_location(f"bench_{name}", BENCH / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+        return importlib.import_module(name)
 
 
 @pytest.fixture(scope="module", name="soak")

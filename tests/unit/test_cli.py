@@ -91,6 +91,37 @@ def test_an_unknown_verb_is_a_usage_error(capsys):
     assert "'upp'" in capsys.readouterr().err
 
 
+def test_an_unknown_option_is_said_under_the_usage_of_its_verb(verb, capsys):
+    verb("return 0")
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["trial_verb", "--n", "4", "--m", "5"])
+    assert ended.value.code == 2
+    err = capsys.readouterr().err
+    assert err.startswith("usage: hallway trial_verb [-h] [--n N]")
+    assert "unrecognized arguments: --m 5" in err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "topic list --robot lab",
+        "topic --robot lab list",
+        "topic --domain 7 --robot lab hz scan",
+        "topic --domain 7 hz scan --robot lab",
+        "keys list --robot lab",
+        "keys --robot lab list",
+        "status --robot lab",
+    ],
+)
+def test_the_robot_is_named_before_an_action_or_behind_it(words, monkeypatch):
+    told = []
+    name = words.split()[0]
+    monkeypatch.setattr(f"runtime.cli.{name}.run", lambda args: told.append(vars(args)) or 0)
+    assert cli.main(words.split()) == 0
+    assert told[0]["robot"] == "lab"
+    assert told[0].get("domain", 0) == 7 * ("7" in words)
+
+
 def test_no_verb_at_all_is_a_usage_error_that_shows_the_verbs(capsys):
     assert cli.main([]) == 2
     out, err = capsys.readouterr()

@@ -1,12 +1,15 @@
 """The list of what is compiled first is whole, and the work is dealt out evenly."""
 
 import os
+import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from numba.core.caching import _CacheLocator
 
-from runtime.cli import compiling
+from runtime.cli import compiling, replay_map, up
+from runtime.errors import ConfigError
 
 PROCESSING = Path(__file__).parents[2] / "processing"
 ON_DEMAND = {"sharpness"}  # of `hallway evaluate` only
@@ -99,6 +102,53 @@ def test_what_was_compiled_before_a_loop_that_it_uses_is_compiled_again(tmp_path
     os.utime(beside.parent / "ndt_kernels.py", (1e9, 1e9))
     assert compiling._outdated(chain, {}) == chain
     assert not list(beside.glob("*.nbi"))
+
+
+def test_reading_a_configuration_compiles_nothing(tmp_path):
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-m", "runtime.cli", "config", "check", "demo"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, cwd=PROCESSING.parent)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert list(tmp_path.rglob("*.nbi")) == []
+
+
+def test_what_was_said_of_compiling_is_said_again_when_modules_are_loaded(monkeypatch):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "0")
+    with compiling.uncompiled():
+        assert os.environ["NUMBA_DISABLE_JIT"] == "1"
+    assert os.environ["NUMBA_DISABLE_JIT"] == "0"
+    monkeypatch.delenv("NUMBA_DISABLE_JIT")
+    with compiling.uncompiled():
+        pass
+    assert "NUMBA_DISABLE_JIT" not in os.environ
+
+
+@pytest.mark.parametrize("config", ["{}", "{odometry: {key_scans: 0}}"])
+def test_a_robot_is_compiled_once_its_graph_is_known_to_be_good(config, tmp_path, monkeypatch):
+    compiled = []
+    monkeypatch.setattr(compiling, "compile_all", lambda environment, say: compiled.append(environment))
+    graph = tmp_path / "graph.yaml"
+    graph.write_text(f"robot: r\nnodes:\n  matcher: {{module: matcher, config: {config}}}\n")
+    if config == "{}":
+        assert up._check(graph, headless=True)["matcher"]["publishes"]
+        assert "NUMBA_DISABLE_JIT" not in compiled[0]
+    else:
+        with pytest.raises(ConfigError, match="key_scans"):
+            up._check(graph, headless=True)
+        assert compiled == []
+
+
+def test_a_recording_that_is_mapped_again_waits_for_the_loops_before_its_processes_start(
+    tmp_path, monkeypatch
+):
+    def compile_all(environment, say):
+        say("compiling")
+        raise InterruptedError
+
+    monkeypatch.setattr(compiling, "compile_all", compile_all)
+    with pytest.raises(InterruptedError):
+        replay_map._run(tmp_path / "graph.yaml", tmp_path / "out", None, quiet=True)
+    assert not (tmp_path / "out").exists()
 
 
 class _Spec:

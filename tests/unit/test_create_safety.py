@@ -1,19 +1,13 @@
 """The robot stands unless everything is right: every rule of the safety of the base, without a robot."""
 
-import importlib.util
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 
 from drivers.create.limits import SafetyConfig
 from drivers.create.operators import Input, Intent
 from drivers.create.safety import State
-
-_spec = importlib.util.spec_from_file_location("create_course", Path(__file__).with_name("create_course.py"))
-create_course = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(create_course)
-Course, MS = create_course.Course, create_course.MS
+from tests.unit.create_course import MS, Course
 
 ZERO = (0, 0)
 

@@ -1,8 +1,5 @@
 """The shared store and the ancestry tree give, bit for bit, what P whole maps and P whole paths give."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,10 +10,7 @@ from processing.dpslam.filter import DpSlam
 from processing.motion import Motion
 from processing.scan import Scan
 from tests.lasers import beams_of_laser
-
-_spec = importlib.util.spec_from_file_location("naive_dpslam", Path(__file__).with_name("naive_dpslam.py"))
-naive = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(naive)
+from tests.unit import naive_dpslam as naive
 
 COVARIANCE = np.diag((0.03**2, 0.03**2, 0.01**2))
 

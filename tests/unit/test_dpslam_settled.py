@@ -1,8 +1,5 @@
 """The settled map grows into what it would be if built at once, and holds scans that lie on it."""
 
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,13 +8,7 @@ from processing.dpslam.settled_kernels import FLAT_RATIO, ONE_SIDED
 from processing.local_map import BEHIND_M, BEHIND_SLANT
 from processing.ndt import NdtConfig
 from processing.se2 import between, invert, transform
-
-_spec = importlib.util.spec_from_file_location(
-    "naive_odometry", Path(__file__).with_name("naive_odometry.py")
-)
-naive = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(naive)
-
+from tests.unit import naive_odometry as naive
 
 CONFIG = NdtConfig(cell_m=CELL_M, flat_ratio=FLAT)
 HERE = np.zeros(3)

@@ -1,9 +1,7 @@
 """Differential evolution finds known optima, ends by its rules, and stays in its box."""
 
 import dataclasses
-import importlib.util
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +10,7 @@ from hypothesis import strategies as st
 
 from processing.evolution import TABLE_1, EvolutionConfig, maximise, random_state
 from processing.evolution_kernels import gathered, propose, scatter, uniform
-
-_spec = importlib.util.spec_from_file_location(
-    "naive_odometry", Path(__file__).with_name("naive_odometry.py")
-)
-naive = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(naive)
+from tests.unit import naive_odometry as naive
 
 FLAT = EvolutionConfig(spread=(0.0, 0.0))
 FIRST = (0.3, -0.2, 0.1)

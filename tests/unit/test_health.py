@@ -1,15 +1,12 @@
 """What processes say of themselves becomes one picture, and no foreign word can grow or break it."""
 
-import io
 import time
 
 import pytest
-from rich.console import Console
 
 from runtime import messages
 from runtime.bus.memory import MemoryBus
 from runtime.bus.offset import Offset
-from runtime.cli.screen import table
 from runtime.messages import Attachment
 from runtime.process.health import Health
 from runtime.process.node import BusPort
@@ -134,29 +131,16 @@ def test_the_status_is_what_the_processes_said(bus, health):
     assert (lines["hub"].pid, lines["hub"].rss_mb, lines["hub"].cpu_percent) == (11, 51.5, 1.5)
     assert (lines["mapper"].level, lines["mapper"].text) == ("error", "killed")
     assert "TRACKING" in status.line()
-    assert "laser: dusty" in status.line()
+    assert status.troubles()["laser"] == "dusty"
     assert "ray to pose 120/140 ms" in status.line()
 
 
 def test_how_far_the_clocks_are_apart_is_in_every_form_of_the_status(bus, health):
     status = status_of("robot", health.vitals(), Offset(-2_500_000, 400_000))
-    assert "clock -2.500 ms, to 0.200 ms" in status.line()
+    assert "clock -2.500 ms ± 0.200 ms" in status.line()
     values = status.to_json()
     assert (values["clock_offset_ns"], values["clock_round_trip_ns"]) == (-2_500_000, 400_000)
     assert status_of("robot", {}).to_json()["clock_offset_ns"] is None
-
-
-def test_the_table_shows_what_was_lost_came_twice_and_waited(bus, health):
-    values = {"scan.missed": 31, "scan.duplicates": 42, "scan.queue_ms": 53.4, "scan.deadline_misses": 64}
-    say(bus, "robot/laser", 1, "dusty", **values)
-    status = status_of("robot", health.vitals(), Offset(-2_500_000, 400_000))
-    console = Console(record=True, width=200, file=io.StringIO())
-    console.print(table(status, 5.0))
-    lines = console.export_text().splitlines()
-    assert "clock -2.500 ms, to 0.200 ms" in lines[0]
-    heads, row = lines[-2].split(), lines[-1].split()
-    assert heads == ["process", "state", "cpu", "%", "MB", "lost", "twice", "queue", "ms", "late", "restarts"]
-    assert row == ["laser", "running", "0", "0", "31", "42", "53", "64", "0", "dusty"]
 
 
 def test_an_empty_picture_is_one_too():

@@ -81,6 +81,7 @@ def test_people_get_a_table(tmp_path, capsys):
     recorded(tmp_path / "a.mcap", [1, 2, 5]).close(3 * S)
     assert main(["info", str(tmp_path / "a.mcap")]) == 4
     out = capsys.readouterr().out
+    assert "began                1970-01-01 00:00:00 UTC\n" in out
     assert "/robot/scan                         3    5.00        2  sensor_msgs/msg/LaserScan" in out
     assert "missing messages of               time s    first   count\n" in out
     assert "/robot/scan                        0.400        3       2\n" in out
@@ -95,6 +96,12 @@ def test_a_laser_log_is_described_by_its_geometry_and_rate(tmp_path, capsys):
     assert (report["kind"], report["scans"], report["count"]) == ("CARMEN FLASER", 10, 180)
     assert report["period_s"] == pytest.approx(0.2)
     assert report["duration_s"] == pytest.approx(1.8)
+
+
+def test_what_has_parts_of_its_own_is_in_brackets(tmp_path, capsys):
+    (tmp_path / "run.json").write_text('{"session": {"drives": 2, "cells": {"wall": 3, "erased": 0}}}')
+    assert main(["info", str(tmp_path)]) == 0
+    assert "session              drives=2, cells=(wall=3, erased=0)\n" in capsys.readouterr().out
 
 
 def test_a_results_folder_tells_what_made_it(tmp_path, capsys):

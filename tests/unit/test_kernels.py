@@ -28,12 +28,7 @@ from processing.saliency import ResamplingConfig
 from processing.saliency_kernels import resample
 from processing.scan import Beams, Scan, end_points
 from processing.wide_match_kernels import blur
-
-_spec = importlib.util.spec_from_file_location(
-    "naive_odometry", Path(__file__).with_name("naive_odometry.py")
-)
-naive = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(naive)
+from tests.unit import naive_odometry as naive
 
 DPSLAM = "unit/test_dpslam_naive.py::test_the_filter_equals_one_that_copies_whole_maps"
 SLOPES = "unit/test_ndt.py::test_gradient_and_hessian_are_the_differences_of_the_score_at_fixed_weights"

@@ -1,19 +1,13 @@
 """The compiled transform gives what four plain grids of cells give, and its slopes are those of its score."""
 
-import importlib.util
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from processing.ndt import Ndt, NdtConfig
 from processing.se2 import transform
-
-_twins = Path(__file__).with_name("naive_odometry.py")
-_spec = importlib.util.spec_from_file_location("naive_odometry", _twins)
-naive = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(naive)
+from tests.unit import naive_odometry as naive
 
 CONFIGS = [
     NdtConfig(),

@@ -43,7 +43,7 @@ def test_a_robot_tells_its_time_on_the_bus():
         tell_time(robot, "robot", ManualClock(2_000_000))
         found = measured(laptop, "robot", ManualClock(500_000))
         assert found == Offset(1_500_000, 0)
-        assert str(found) == "+1.500 ms, to 0.000 ms"
+        assert str(found) == "+1.500 ms ± 0.000 ms"
         assert measured(laptop, "another", ManualClock()) is None
 
 

@@ -126,6 +126,27 @@ def test_the_scale_bar_has_the_length_that_it_names():
     assert np.ptp(bar) == pytest.approx(5.0 * image.width / 21.0, rel=0.02)
 
 
+def test_ground_to_keep_out_of_is_tinted_where_it_is_and_named():
+    kept = np.zeros((100, 300), dtype=np.bool_)
+    kept[70:90, 20:60] = True  # high up on the left
+    plain = picture.render(np.zeros(kept.shape, dtype=np.float32), 0.05, (0.0, 0.0))
+    image = picture.render(np.zeros(kept.shape, dtype=np.float32), 0.05, (0.0, 0.0), keep_out=kept)
+    assert image.size == plain.size
+    rows, cols = np.nonzero((np.asarray(image) != np.asarray(plain)).any(axis=-1))
+    on_map = rows < image.height - 44
+    assert rows[on_map].max() < image.height / 2
+    assert cols[on_map].max() < image.width / 2
+    assert on_map.sum() == pytest.approx(kept.sum() * (1400 // 320) ** 2, rel=0.02)
+    red, green, _ = np.asarray(image)[rows[on_map][0], cols[on_map][0]]
+    assert red > green + 40
+    assert (~on_map).sum() > 200  # a square and its word in the strip
+
+
+def test_ground_to_keep_out_of_that_is_of_another_map_is_refused():
+    with pytest.raises(ValueError, match="keep_out has shape"):
+        picture.render(room(), 0.05, (0.0, 0.0), keep_out=np.ones((2, 2), dtype=np.bool_))
+
+
 @pytest.mark.parametrize("shape", [(0, 5), (5,), (2, 2, 2)])
 def test_a_grid_of_another_shape_is_named(shape):
     with pytest.raises(ValueError, match="shape"):

@@ -17,7 +17,7 @@ from runtime.formats.mcap_writer import McapWriter, is_written
 from runtime.formats.missing import STATUS_TYPE
 from runtime.messages import LaserScan, decode, encode, header
 from runtime.recordings import recovery
-from runtime.recordings.recording import Recording, RecordingConfig
+from runtime.recordings.recording import Counts, Recording, RecordingConfig
 from runtime.recordings.recovery import keep_ring, recover_cut, salvage
 
 SCAN = McapChannel("/robot/scan", "sensor_msgs/msg/LaserScan", {"gid": "aa" * 16})
@@ -228,6 +228,22 @@ def test_a_kill_costs_what_came_after_the_last_second(tmp_path):
     assert len(read(tmp_path / "a.mcap")[0]) == 25 + 3  # and a status at each second and at the end
 
 
+@pytest.mark.parametrize(
+    ("counts", "words"),
+    [
+        (Counts(unwritten=2), "2 messages lost"),
+        (Counts(lost={"odom": 1, "scan": 12}), "13 messages lost: scan 12, odom 1; the machine or the link"),
+        (
+            Counts(lost={"a": 1, "b": 5, "c": 3, "d": 4, "e": 0}),
+            "13 messages lost: b 5, d 4, c 3, others; the machine",
+        ),
+        (Counts(lost={"a": 1, "b": 5, "c": 3, "e": 0}), "9 messages lost: b 5, c 3, a 1; the machine"),
+    ],
+)
+def test_losses_are_told_by_topic_the_worst_first(counts, words):
+    assert counts.words().startswith(words)
+
+
 def test_losses_are_counted_inside_the_file(tmp_path):
     rec = recording(tmp_path / "a.mcap")
     rec.add(SCAN, 1, 1, 1, payload(1))
@@ -235,7 +251,7 @@ def test_losses_are_counted_inside_the_file(tmp_path):
     messages, _ = read(tmp_path / "a.mcap.active")
     (status,) = [decode(m.payload, STATUS_TYPE).status[0] for m in messages if m.channel.name == "recording"]
     assert status.level == 1
-    assert status.message == "4 messages lost"
+    assert status.message == "4 messages lost: scan 3, odom 1; the machine or the link was too busy"
     assert {one.key: one.value for one in status.values} == {
         "written": "1", "unwritten": "0", "scan.lost": "3", "odom.lost": "1",
     }  # fmt: skip

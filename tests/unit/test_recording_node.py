@@ -189,7 +189,8 @@ def test_a_burst_beyond_the_mailbox_is_counted_inside_the_file(bus, tmp_path):
     assert recording.counts.lost == {"map": 7}
     assert state.metadata["hallway.end"]["map.lost"] == "7"
     status = [m for m in messages if m.channel.name == "recording"][-1]
-    assert decode(status.payload, status.channel.msgtype).status[0].message == "7 messages lost"
+    told = decode(status.payload, status.channel.msgtype).status[0].message
+    assert told.startswith("7 messages lost: map 7; ")
 
 
 def test_ros_is_told_which_topics_are_latched(bus, tmp_path):
@@ -236,7 +237,8 @@ def test_the_node_says_what_was_lost_in_its_report_and_exit_code(tmp_path, monke
     port = ListPort(run_dir=tmp_path, stop_after=0)
     monkeypatch.setattr(recorder, "_drain", lambda port, subscriptions, recording, *_: _lose(recording))
     assert recorder.run(port, config(tmp_path / "a.mcap")) == 4
-    assert port.reports[-1][:2] == ("warn", "5 messages lost")
+    level, text = port.reports[-1][:2]
+    assert (level, text.partition(";")[0]) == ("warn", "5 messages lost: scan 5")
 
 
 def test_the_node_says_why_it_records_nothing_any_more(tmp_path, monkeypatch):

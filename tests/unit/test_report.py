@@ -101,6 +101,12 @@ def test_where_the_match_did_not_hold_is_listed_the_longest_first():
     assert first < text.index("LOST from 2.0 to 2.2 s, at (0.2, 1.0) m")
 
 
+def test_a_place_just_left_of_zero_has_no_minus_before_its_zero():
+    poses = np.tile((-0.004, -0.26, 0.0), (200, 1))
+    text = " ".join(read(page(run(map_t_laser=poses, states=["LOST"] * 200))).text)
+    assert "at (0.0, -0.3) m" in text
+
+
 def doubting(*spans, count=200):
     sigma_m = np.full((count, 2), 0.003)
     for begin, end, value in spans:
@@ -226,6 +232,25 @@ def polyline(svg):
         [tuple(map(float, pair.split(","))) for pair in points.split()]
         for points in re.findall(r'points="([^"]*)"', svg)
     ]
+
+
+def test_the_first_scan_has_no_score_that_could_be_low():
+    score = np.full(200, 0.9)
+    score[0] = 0.0
+    alone = dict.fromkeys(("points", "sigma_m", "n_eff", "resampled", "ancestors"))
+    (line,) = polyline(page(run(score=score, **alone)))
+    assert max(y for _, y in line) < 60  # far above the foot, which is at 128
+
+
+@pytest.mark.parametrize(("reach_m", "bar"), [(0.004, "1 mm"), (0.05, "10 mm"), (2.0, "1 m")])
+def test_a_cloud_of_particles_fills_its_panel_whatever_its_size(reach_m, bar):
+    poses = np.array([(-reach_m, 0.0, 0.0), (reach_m, 0.0, 0.0), (-reach_m, reach_m, 1.0)])
+    svg = chart.cloud(poses + np.array((5.0, 3.0, 0.0)), "p")
+    across = [float(x) for x in re.findall(r'cx="([\d.]+)"', svg)]
+    assert max(across) - min(across) >= 0.5 * 320
+    assert min(across) > 8.0
+    assert max(across) + 12 < 320
+    assert f">{bar}</text>" in svg
 
 
 def test_a_single_peak_among_many_values_is_drawn():

@@ -342,6 +342,11 @@ def test_two_operators_on_one_machine_have_different_names():
     assert teleop.own_name().rpartition("/")[2].isdigit()
 
 
+@pytest.mark.parametrize("text", [keyboard.HELP, gamepad.HELP])
+def test_the_help_breaks_no_line_of_a_terminal_of_eighty_columns(text):
+    assert max(map(len, text.splitlines())) <= 80
+
+
 def test_the_help_names_every_key():
     for word in ("Enter", "W A S D", "space", "K ", "Ctrl-C"):
         assert word in keyboard.HELP

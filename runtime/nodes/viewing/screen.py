@@ -69,7 +69,9 @@ class Screen:
         if url is not None:
             self._rec.connect_grpc(url, default_blueprint=self._layout())
         if file is not None:
-            self._rec.save(file, default_blueprint=self._layout())
+            self._rec.save(file)
+            # A default is not enough: a viewer to which the file is sent would keep to a layout of its own.
+            self._rec.send_blueprint(self._layout())
         self._rec.send_recording_name(name)
         self._rec.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for path, (label, colour) in _SERIES.items():

@@ -1,0 +1,3 @@
+"""Fixtures of more than one file."""
+
+from tests.integration.remote.stage import namespaces, robot  # noqa: F401
