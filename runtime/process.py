@@ -16,9 +16,11 @@ from pathlib import Path
 
 from runtime import graph, links, realtime
 from runtime.bus import Bus
+from runtime.clock import Clock
 from runtime.config import refuse_unknown
 from runtime.errors import exit_code_of
 from runtime.node import BusPort
+from runtime.offset import Follower
 
 PARENT_VARIABLE = "HALLWAY_PARENT_PID"
 
@@ -82,14 +84,22 @@ def _run(args: argparse.Namespace, log: logging.Logger) -> int:
         realtime.step_forward(0, like=os.getppid())
     realtime.schedule(log, priority=spec.priority, nice=spec.nice, cores=spec.cores)
 
+    clock, followers = Clock.from_environment(), list[Follower]()
+
     def open_bus() -> Bus:
         from runtime.bus_zenoh import ZenohBus
 
-        return ZenohBus(links.peer(args.run_dir, args.name))
+        bus = ZenohBus(links.peer(args.run_dir, args.name))
+        # Scans have the robot's time. Whoever drives keeps his own: the base takes no stamp that went back,
+        # and finds the difference of the clocks itself.
+        if loaded.is_away(args.name) and "cmd_vel" not in resolved.publishes:
+            followers.append(Follower(bus, robot, clock))
+        return bus
 
     port = BusPort(
         args.name,
         open_bus,
+        clock=clock,
         subscribes=resolved.subscribes,
         publishes=resolved.publishes,
         robot=robot,
@@ -97,15 +107,20 @@ def _run(args: argparse.Namespace, log: logging.Logger) -> int:
         seed=loaded.seed if args.seed is None else args.seed,
         run_dir=args.run_dir,
         results_dir=args.results_dir,
+        guest=loaded.is_away(args.name),
     )
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: port.stop())
-    with port:
-        try:
-            return int(resolved.module.run(port, resolved.config))
-        except Exception as error:
-            port.report("error", str(error) or type(error).__name__)
-            raise
+    try:
+        with port:
+            try:
+                return int(resolved.module.run(port, resolved.config))
+            except Exception as error:
+                port.report("error", str(error) or type(error).__name__)
+                raise
+    finally:
+        for follower in followers:
+            follower.close()
 
 
 def _is_called() -> bool:

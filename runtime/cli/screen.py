@@ -94,7 +94,7 @@ def table(status: Status, elapsed_s: float | None) -> Any:
         colour = _COLOURS.get(line.level, "white")
         processes.add_row(
             line.name,
-            Text(line.state, style=colour),
+            Text(f"{line.state} on {line.host}" if line.host else line.state, style=colour),
             f"{line.cpu_percent:.0f}",
             f"{line.rss_mb:.0f}",
             str(line.lost),

@@ -35,7 +35,7 @@ STUBBORN = (
 class Scene:
     """A supervisor over one-line programs; the test says who is ready."""
 
-    def __init__(self, folder, programs, **specs):
+    def __init__(self, folder, programs, elsewhere=(), **specs):
         self.logs = folder / "logs"
         self.events = []
         self.forgotten = []
@@ -48,6 +48,7 @@ class Scene:
             self.clock,
             lambda event: self.events.append((event.node, event.text)),
             self.forgotten.append,
+            elsewhere,
         )
         self.children = self.supervisor.children
         self.ready, self.silent = set(), set()
@@ -74,8 +75,8 @@ class Scene:
 def scene(tmp_path):
     made = []
 
-    def make(programs, **specs):
-        made.append(Scene(tmp_path, programs, **specs))
+    def make(programs, **how):
+        made.append(Scene(tmp_path, programs, **how))
         return made[-1]
 
     yield make
@@ -102,6 +103,19 @@ def test_a_node_starts_when_those_before_it_are_ready(scene):
     assert not stage.supervisor.all_ready
     stage.ready = {"a", "b"}
     stage.until(lambda: stage.supervisor.all_ready)
+
+
+def test_what_runs_elsewhere_is_waited_for_once_and_neither_started_nor_missed(scene):
+    stage = scene({"b": SLEEPS, "a": SLEEPS}, elsewhere=("a",), b=NodeSpec(module="m", after=("a",)))
+    assert list(stage.children) == ["b"]
+    stage.supervisor.step(set())
+    assert stage.state("b") is State.WAITING
+    stage.ready = {"a"}
+    stage.until(lambda: stage.state("b") is State.STARTING)
+    stage.ready, stage.silent = {"b"}, {"a"}
+    stage.until(lambda: stage.supervisor.all_ready)
+    stage.children["b"].signal(signal.SIGKILL)
+    stage.until(lambda: stage.state("b") is State.RUNNING)  # though the other is away now
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGSTOP])
