@@ -14,13 +14,14 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from runtime import graph, links, realtime
+from runtime import graph, links, messages, realtime
 from runtime.bus import Bus
 from runtime.clock import Clock
 from runtime.config import refuse_unknown
 from runtime.errors import exit_code_of
 from runtime.node import BusPort
 from runtime.offset import Follower
+from runtime.topics import topic
 
 PARENT_VARIABLE = "HALLWAY_PARENT_PID"
 
@@ -78,8 +79,12 @@ def _run(args: argparse.Namespace, log: logging.Logger) -> int:
     spec = loaded.nodes[args.name]
     aside = args.spare and not _is_called() and realtime.step_aside()
     resolved = graph.resolve(args.name, spec, str(args.graph), args.run_dir)
-    if args.spare and not sys.stdin.readline():
-        return 0  # nobody needs it any more
+    if args.spare:
+        for name in (*resolved.subscribes, *resolved.publishes, "diagnostics"):
+            messages.prepare(topic(name).type)
+        realtime.settle()
+        if not sys.stdin.readline():
+            return 0  # nobody needs it any more
     if aside:
         realtime.step_forward(0, like=os.getppid())
     realtime.schedule(log, priority=spec.priority, nice=spec.nice, cores=spec.cores)

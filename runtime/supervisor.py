@@ -113,7 +113,7 @@ class Supervisor:
                 self._tell(child, "ready")
             elif child.name in silent and child.state is State.RUNNING and child.age_s > SILENT_S:
                 self._tell(child, child.kill("does not speak any more"))
-            if (happened := child.poll()) is not None:
+            while (happened := child.poll()) is not None:  # one that was buried may start in the same turn
                 if child.state is State.STARTING:
                     self._forget(child.name)
                 self._tell(child, happened)

@@ -243,6 +243,24 @@ def test_a_spare_process_takes_over_and_another_stands_by_for_it(scene, monkeypa
     assert not alive(last)
 
 
+def test_after_a_blow_the_next_one_starts_in_the_same_turn_and_another_stands_by_at_once(scene):
+    stage = scene({"a": SPARE}, a=NodeSpec(module="m", spare=True))
+    child = stage.children["a"]
+    stage.until(lambda: stage.wrote("a", "works\n"))
+    stage.ready = {"a"}
+    stage.until(lambda: stage.state("a") is State.RUNNING)
+    assert child._spare.pid is None  # when a run begins all others start, too
+    stage.ready = set()
+    os.kill(child.pid, signal.SIGKILL)
+    child._process.wait()
+    stage.supervisor.step(set())
+    assert stage.state("a") is State.STARTING
+    assert stage.said("a")[-2:] == ["killed by SIGKILL; starts again in 0 s", "starts again"]
+    stage.supervisor.step({"a"})
+    stage.supervisor.step({"a"})
+    assert child._spare.pid is not None
+
+
 def test_a_spare_process_that_is_dead_or_frozen_is_replaced_by_a_fresh_one(scene, monkeypatch):
     monkeypatch.setattr("runtime.child._SPARE_AFTER_S", 0.0)
     for number in (signal.SIGKILL, signal.SIGSTOP):
