@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from runtime import config, graph, keys, links, messages
+from runtime import config, gate, graph, keys, links, messages
 from runtime.bus import Mailbox
 from runtime.bus_zenoh import ZenohBus
 from runtime.health import Health
@@ -44,9 +44,7 @@ class Site:
         (folder / "g.yaml").write_text(config.to_yaml(data))
         (folder / "later").mkdir()
         (folder / "later" / "sitecustomize.py").write_text(AN_HOUR_AHEAD)
-        with contextlib.closing(socket.socket()) as free:
-            free.bind(("127.0.0.1", 0))
-            self.address = f"127.0.0.1:{free.getsockname()[1]}"
+        self.address = free_address()
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("HALLWAY_KEYS", str(folder / "pi-keys"))
             keys.make("robot", ["127.0.0.1"])
@@ -145,7 +143,7 @@ def test_the_wheels_stop_when_the_machine_that_drives_and_matches_is_gone(tmp_pa
     site = Site(tmp_path, ("matcher", "operator"))
     with site.up("pi"), ZenohBus(links.visitor(site.run_dir("pi"))) as bus:
         health, truths = Health(bus, "robot"), Mailbox(10_000)
-        bus.subscribe(messages.topic_key("robot/truth", topic("truth").type), truths.put)
+        bus.subscribe(key_of("truth"), truths.put)
         until(lambda: "matcher" in lines(health))
         assert (lines(health)["matcher"].text, lines(health)["matcher"].host) == ("not heard yet", "desk")
         with site.up("desk") as desk:
@@ -162,6 +160,49 @@ def test_the_wheels_stop_when_the_machine_that_drives_and_matches_is_gone(tmp_pa
             until(lambda: lines(health)["matcher"].level == "stale")
         assert health.vitals()["base"].values["state"] == "disarmed"
         assert lines(health)["mapper"].level in ("ok", "warn")  # its own process, here, waits
+
+
+def test_another_machine_says_what_its_processes_say_and_nothing_that_devices_say(tmp_path, monkeypatch):
+    monkeypatch.setenv("HALLWAY_KEYS", str(tmp_path / "keys"))
+    owner = keys.make("robot", ["127.0.0.1"])
+    address = free_address()
+    invitation = keys.invite("robot", "desk", "machine", address)
+    door = gate.door(owner, "robot", 0, address, owner.roster())
+    pi, desk = tmp_path / "pi", tmp_path / "desk"
+    pi.mkdir()
+    desk.mkdir()
+    with (
+        ZenohBus(links.hub(desk, gate.lead(invitation))),  # before the robot, that it waits for
+        ZenohBus(links.hub(pi, door)),
+        ZenohBus(links.peer(pi, "monitor")) as here,
+        ZenohBus(links.peer(desk, "mapper")) as there,
+    ):
+        heard = {name: Mailbox(100) for name in ("odom", "cmd_vel", "scan", "battery")}
+        for name, box in heard.items():
+            here.subscribe(key_of(name), box.put)
+        tongues = [there.publisher(key_of(name)) for name in heard]
+
+        def spoken():
+            for tongue in tongues:
+                tongue.put(bytes(100), b"")
+            return min(heard["odom"].received, heard["cmd_vel"].received) > 20
+
+        until(spoken)
+        assert (heard["scan"].received, heard["battery"].received) == (0, 0)
+        there.answer("hallway/robot/clock", lambda asked: bytes(8))
+        there.answer("hallway/robot/map", lambda asked: b"tiles")
+        until(lambda: here.ask("hallway/robot/map") == [b"tiles"])
+        assert here.ask("hallway/robot/clock", timeout_s=0.3) == []
+
+
+def key_of(name):
+    return messages.topic_key(f"robot/{name}", topic(name).type)
+
+
+def free_address():
+    with contextlib.closing(socket.socket()) as free:
+        free.bind(("127.0.0.1", 0))
+        return f"127.0.0.1:{free.getsockname()[1]}"
 
 
 def way_m(truths):
