@@ -81,6 +81,19 @@ class Supervisor:
         return all(child.state in (State.RUNNING, State.ENDED) for child in self.children.values())
 
     @property
+    def all_here(self) -> bool:
+        """Whether every process is up but those that wait, directly or not, for another machine."""
+        far: set[str] = set()
+        for child in self.children.values():  # each comes after those it waits for
+            unmet = [name for name in child.spec.after if name not in self.children and name not in self._met]
+            if child.state is State.WAITING and (unmet or far.intersection(child.spec.after)):
+                far.add(child.name)
+        return all(
+            child.state in (State.RUNNING, State.ENDED) or child.name in far
+            for child in self.children.values()
+        )
+
+    @property
     def over(self) -> bool:
         """Whether nothing runs, and nothing will."""
         return self.stopping and all(child.state in _DONE for child in self.children.values())

@@ -229,6 +229,7 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
 
     before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     running_since: float | None = None
+    is_up = False
     notified = told = 0.0
     try:
         while not live.supervisor.over:
@@ -237,9 +238,11 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
             if now - notified > _NOTIFY_S:
                 notified = now
                 notify_init("WATCHDOG=1")
+            if not is_up and live.supervisor.all_here:
+                is_up = True  # for systemd, which would not wait for another machine
+                notify_init("READY=1")
             if running_since is None and live.supervisor.all_ready:
                 running_since = now
-                notify_init("READY=1")
                 screen.say(f"all processes run after {live.elapsed_s:.1f} s")
             over = duration_s is not None and running_since is not None and now - running_since > duration_s
             if (asked or over or live.supervisor.idle) and not live.supervisor.stopping:

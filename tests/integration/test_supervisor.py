@@ -106,14 +106,21 @@ def test_a_node_starts_when_those_before_it_are_ready(scene):
 
 
 def test_what_runs_elsewhere_is_waited_for_once_and_neither_started_nor_missed(scene):
-    stage = scene({"b": SLEEPS, "a": SLEEPS}, elsewhere=("a",), b=NodeSpec(module="m", after=("a",)))
-    assert list(stage.children) == ["b"]
+    after = {"b": NodeSpec(module="m", after=("a",)), "c": NodeSpec(module="m", after=("b",))}
+    stage = scene(dict.fromkeys("cbad", SLEEPS), elsewhere=("a",), **after)
+    assert set(stage.children) == {"b", "c", "d"}
     stage.supervisor.step(set())
-    assert stage.state("b") is State.WAITING
-    stage.ready = {"a"}
+    assert (stage.state("b"), stage.state("c")) == (State.WAITING, State.WAITING)
+    assert not stage.supervisor.all_here
+    stage.ready = {"d"}
+    stage.until(lambda: stage.supervisor.all_here)  # the robot is up, and waits for another machine
+    assert not stage.supervisor.all_ready
+    stage.ready = {"a", "d"}
     stage.until(lambda: stage.state("b") is State.STARTING)
-    stage.ready, stage.silent = {"b"}, {"a"}
+    assert not stage.supervisor.all_here
+    stage.ready, stage.silent = {"b", "c", "d"}, {"a"}
     stage.until(lambda: stage.supervisor.all_ready)
+    assert stage.supervisor.all_here
     stage.children["b"].signal(signal.SIGKILL)
     stage.until(lambda: stage.state("b") is State.RUNNING)  # though the other is away now
 
