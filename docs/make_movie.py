@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from processing.se2 import transform
 from processing.slam import Slam
 from runtime.cli.study.drives import drive
-from runtime.picture import HITS, PATH, START, render
+from runtime.reports.picture import HITS, PATH, START, render
 
 TO = Path(__file__).parent / "pictures" / "growing-map.gif"
 EVERY = 45

@@ -7,10 +7,10 @@ there, and whatever stops the wheels; the others lead to it as guests with the r
 import os
 from dataclasses import dataclass, field
 
-from runtime import keys
+from runtime.access import keys
+from runtime.access.keys import Invitation
 from runtime.errors import ConfigError
 from runtime.graph import Graph
-from runtime.keys import Invitation
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """The world as a node sees it: subscribe, publish, report, count, and know when to stop.
 
-A node is written against `Port` alone. `runtime.node.BusPort` is the real one; `ListPort` plays a list of
+A node is written against `Port` alone. `runtime.process.node.BusPort` is the real one; `ListPort` plays a list of
 messages to a node and keeps what it said, without threads or waiting.
 """
 

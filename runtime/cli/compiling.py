@@ -16,7 +16,7 @@ from pathlib import Path
 
 from runtime.cli.patience import told
 from runtime.clock import Clock
-from runtime.supervisor import child_environment
+from runtime.supervision.supervisor import child_environment
 
 CHAINS: tuple[tuple[float, tuple[str, ...]], ...] = (
     (8.5, ("dpslam.grid", "dpslam.laser_model", "dpslam.writing", "dpslam.alignment", "dpslam.kernels")),

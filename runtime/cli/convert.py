@@ -85,8 +85,8 @@ def _convert(source: Path, partial: Path, kind: str, topic: str | None) -> dict[
 def _from_recording(source: Path, partial: Path, kind: str) -> dict[str, Any]:
     from runtime.formats import write_bags
     from runtime.formats.mcap_log import McapReader
-    from runtime.missing import account_of
-    from runtime.recovery import salvage
+    from runtime.formats.missing import account_of
+    from runtime.recordings.recovery import salvage
 
     reader = McapReader(source)
     not_held: list[str] = []

@@ -12,7 +12,7 @@ def print_gaps(title: str, gaps: Sequence[Mapping[str, Any]]) -> None:
 
     Args:
         title: What is missing where.
-        gaps: As `runtime.missing.Account.gaps` returns them.
+        gaps: As `runtime.formats.missing.Account.gaps` returns them.
     """
     if not gaps:
         return

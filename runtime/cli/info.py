@@ -19,13 +19,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print what is there; 0 when it is whole, 4 when something is missing."""
-    from runtime.results import RUN_FILE
+    from runtime.reports.results import RUN_FILE
 
     path: Path = args.file
     if path.is_dir() and (path / RUN_FILE).is_file():
         report = _results(path)
     elif _is_recording(path):
-        from runtime.recording_info import describe
+        from runtime.recordings.info import describe
 
         report = _with_session(describe(path), path)
     else:
@@ -49,7 +49,7 @@ def _is_recording(path: Path) -> bool:
 def _with_session(report: dict[str, Any], path: Path) -> dict[str, Any]:
     """Add what a session has beside its scans, and whether it can be gone on with."""
     from runtime.formats.errors import FormatError
-    from runtime.session import RECORD, SUMS, read_session
+    from runtime.formats.session import RECORD, SUMS, read_session
 
     record = report.pop(RECORD, None)
     report.pop(SUMS, None)

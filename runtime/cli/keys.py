@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Do what was asked; 2 where it cannot be."""
-    from runtime import gate, keys
+    from runtime.access import gate, keys
     from runtime.errors import ConfigError
 
     if args.action == "make":

@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
 
 def check_results(folder: Path, given: bool) -> None:
     """Refuse a folder that is none of results, before any work; raises ConfigError."""
-    from runtime.results import RUN_FILE, check_free
+    from runtime.reports.results import RUN_FILE, check_free
 
     if not given and not (folder / RUN_FILE).is_file():
         raise ConfigError(f"{folder}: no results folder, so --out DIR must say where the map is written")
@@ -84,10 +84,10 @@ def write(folder: Path, saved: "Saved", layer: "Layer") -> None:
     """Write a session with its map products under a layer, all at once; other results there are kept."""
     from processing.dpslam.redrawing import rebuild
     from runtime.formats.map_server import write_keep_out, write_map
+    from runtime.formats.session import FILE, SessionWriter
     from runtime.nodes.saved import grid_map, picture_of
-    from runtime.picture import png, render
-    from runtime.results import RUN_FILE, new_folder, to_json
-    from runtime.session import FILE, SessionWriter
+    from runtime.reports.picture import png, render
+    from runtime.reports.results import RUN_FILE, new_folder, to_json
 
     past, session = saved.past, saved.session
     seen = rebuild(past, saved.config.slam.mapping, session.seed).occupancy()

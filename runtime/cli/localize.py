@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     from runtime.cli.compiling import compile_here
     from runtime.config import plain
     from runtime.formats.logs import open_log
-    from runtime.results import check_free, save
+    from runtime.reports.results import check_free, save
 
     check_seed(args.seed)
     log = open_log(args.log, args.topic)

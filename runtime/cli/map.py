@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     """
     from runtime.cli.compiling import compile_here
     from runtime.formats.logs import open_log
-    from runtime.results import check_free
+    from runtime.reports.results import check_free
 
     check_seed(args.seed)
     log = open_log(args.log, args.topic)
@@ -140,7 +140,7 @@ def feed(
 def _save(
     offline: "OfflineRun", log: "LaserLog", out: Path, args: argparse.Namespace, interrupted: bool
 ) -> dict[str, Any]:
-    from runtime.results import link_latest, save
+    from runtime.reports.results import link_latest, save
 
     result = offline.result(log, {"interrupted": interrupted} if interrupted else None)
     save(out, result)

@@ -42,10 +42,11 @@ def run(args: argparse.Namespace) -> int:
         return _keep(args, args.out or Path("recordings") / name)
     out = args.out or Path("recordings") / f"{name}.mcap"
     config = _config(args, out)
-    from runtime import gate, rundir
-    from runtime.bus_zenoh import ZenohBus
+    from runtime import rundir
+    from runtime.access import gate
+    from runtime.bus.zenoh_bus import ZenohBus
     from runtime.nodes.recorder import path_of
-    from runtime.recovery import recover_cut
+    from runtime.recordings.recovery import recover_cut
 
     session = gate.visit(args.robot)
     for line in recover_cut(path_of(config, out.parent)):
@@ -60,8 +61,8 @@ def run(args: argparse.Namespace) -> int:
 def _record(args: argparse.Namespace, config: Any, bus: Any, guest: bool) -> int:
     from runtime import rundir
     from runtime.clock import Clock
-    from runtime.node import BusPort
     from runtime.nodes import recorder
+    from runtime.process.node import BusPort
 
     identity, about = _run_of(args.robot, bus, guest)
     if args.domain is not None:
@@ -116,9 +117,10 @@ def _report(recording: Any, lacking: bool, where: str, as_json: bool) -> int:
 
 def _run_of(robot: str, bus: Any, guest: bool) -> tuple[Any, dict[str, str]]:
     """Return what is known of the run that is recorded, and of its clock where that is not ours."""
-    from runtime import identity, rundir
+    from runtime import rundir
+    from runtime.bus.offset import measured
     from runtime.clock import Clock
-    from runtime.offset import measured
+    from runtime.process import identity
 
     if not guest:
         return identity.left_in(rundir.run_dir(robot)), {}
@@ -130,7 +132,7 @@ def _run_of(robot: str, bus: Any, guest: bool) -> tuple[Any, dict[str, str]]:
 
 def _config(args: argparse.Namespace, out: Path) -> Any:
     from runtime.nodes.recorder import Config
-    from runtime.recording import RecordingConfig
+    from runtime.recordings.recording import RecordingConfig
 
     try:
         recording = RecordingConfig(split_mb=args.split_mb, split_s=args.split_s, ring_s=args.ring)
@@ -144,7 +146,7 @@ def _keep(args: argparse.Namespace, folder: Path) -> int:
     """Keep the ring of the robot that runs here; 0 when something was in it."""
     from runtime import rundir
     from runtime.nodes.recorder import RING
-    from runtime.recovery import keep_ring
+    from runtime.recordings.recovery import keep_ring
 
     ring = rundir.run_dir(args.robot) / RING
     if not ring.is_symlink() and not rundir.is_running(args.robot):
@@ -163,8 +165,8 @@ def _keep(args: argparse.Namespace, folder: Path) -> int:
 
 def _keep_there(args: argparse.Namespace) -> int:
     """Have the rings of a robot kept on its own machine; 0 when there was one."""
-    from runtime import gate
-    from runtime.bus_zenoh import ZenohBus
+    from runtime.access import gate
+    from runtime.bus.zenoh_bus import ZenohBus
     from runtime.nodes.keeping import ask_to_keep
 
     with ZenohBus(gate.visit(args.robot)) as bus:

@@ -16,10 +16,10 @@ from runtime.cli.replay_keys import HELP, Keys
 from runtime.errors import ConfigError, DataLostError
 
 if TYPE_CHECKING:
-    from runtime.bus import Bus
+    from runtime.bus.contract import Bus
     from runtime.clock import Clock
-    from runtime.pace import Control
-    from runtime.replay import Played, Recorded, ReplayConfig
+    from runtime.recordings.pace import Control
+    from runtime.recordings.replay import Played, Recorded, ReplayConfig
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*\Z")
 
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play; 0 at the end, 130 after Ctrl-C or q, 4 when something was missing from what was played."""
-    from runtime.replay import Recorded, ReplayConfig
+    from runtime.recordings.replay import Recorded, ReplayConfig
 
     try:
         config = ReplayConfig(
@@ -92,10 +92,11 @@ class _Stage:
 @contextmanager
 def _stage(robot: str, recorded: "Recorded", domain: int | None) -> Iterator[_Stage]:
     """Open the bus of a robot of that name: join the one that runs, or be its hub."""
-    from runtime import links, messages, rundir
-    from runtime.bus_zenoh import ZenohBus
+    from runtime import messages, rundir
+    from runtime.bus import links
+    from runtime.bus.zenoh_bus import ZenohBus
     from runtime.clock import Clock
-    from runtime.identity import CONFIG_FILE, Identity, left_in
+    from runtime.process.identity import CONFIG_FILE, Identity, left_in
 
     if not rundir.is_running(robot):
         clock = Clock.from_environment()
@@ -126,9 +127,9 @@ def _play(
     import signal
 
     from runtime.messages import Clock, time_of
-    from runtime.node import BusPort
-    from runtime.pace import Control
-    from runtime.replay import in_name_of, play
+    from runtime.process.node import BusPort
+    from runtime.recordings.pace import Control
+    from runtime.recordings.replay import in_name_of, play
 
     name = f"player_{os.getpid()}"
     port = BusPort(

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from runtime.pace import Control
+    from runtime.recordings.pace import Control
 
 HELP = "space pause or go, s one message, + faster, - slower, q end"
 

@@ -17,8 +17,8 @@ from runtime.errors import ConfigError, DataLostError, HallwayError
 
 if TYPE_CHECKING:
     from runtime.graph import Graph
-    from runtime.replay import Recorded, ReplayConfig
-    from runtime.run import Run
+    from runtime.recordings.replay import Recorded, ReplayConfig
+    from runtime.supervision.run import Run
 
 _TURN_S = 0.05
 
@@ -26,8 +26,8 @@ _TURN_S = 0.05
 def map_live(args: argparse.Namespace, config: "ReplayConfig") -> int:
     """Play, map and compare; 0 when every scan has its pose, 4 and tables when not, 130 after Ctrl-C."""
     from runtime.config import to_yaml
-    from runtime.replay import Recorded
-    from runtime.results import check_free, link_latest
+    from runtime.recordings.replay import Recorded
+    from runtime.reports.results import check_free, link_latest
 
     if len(args.files) != 1 or config.loop or args.topics or args.paused:
         raise ConfigError("--map: plays the scans of one file once; no --loop, --topics or --paused")
@@ -80,9 +80,9 @@ def _run(file: Path, out: Path, recorded: "Recorded", quiet: bool) -> int:
 
     from runtime import graph as graphs
     from runtime import rundir
-    from runtime.bus_zenoh import ZenohBus
-    from runtime.results import provenance
-    from runtime.run import Run, collect
+    from runtime.bus.zenoh_bus import ZenohBus
+    from runtime.reports.results import provenance
+    from runtime.supervision.run import Run, collect
 
     graph = graphs.load(file)
     if out.is_dir():
@@ -118,7 +118,7 @@ def _config(graph: "Graph") -> dict[str, Any]:
 
 def _drive(live: "Run") -> bool:
     """Turn until everything has ended; return whether a person ended it."""
-    from runtime.child import State
+    from runtime.supervision.child import State
 
     asked: list[int] = []
     numbers = (signal.SIGINT, signal.SIGTERM)

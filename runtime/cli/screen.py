@@ -7,7 +7,7 @@ from types import TracebackType
 from typing import Any
 
 from runtime.latency import HOPS
-from runtime.status import Status
+from runtime.process.status import Status
 
 _PLAIN_EVERY_S = 5.0
 _PAINT_EVERY_S = 0.5

@@ -18,13 +18,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Show the status until Ctrl-C; with --once 0 if every process is well, else 1."""
-    from runtime import gate, rundir
-    from runtime.bus_zenoh import ZenohBus
+    from runtime import rundir
+    from runtime.access import gate
+    from runtime.bus.offset import AGAIN_S, measured
+    from runtime.bus.zenoh_bus import ZenohBus
     from runtime.cli.screen import Screen
     from runtime.clock import Clock
-    from runtime.health import Health
-    from runtime.offset import AGAIN_S, measured
-    from runtime.status import status_of
+    from runtime.process.health import Health
+    from runtime.process.status import status_of
 
     with ZenohBus(gate.visit(args.robot)) as bus:
         health = Health(bus, args.robot, args.domain)
@@ -59,7 +60,7 @@ def _print(status: object) -> None:
     from rich.console import Console
 
     from runtime.cli.screen import table
-    from runtime.status import Status
+    from runtime.process.status import Status
 
     assert isinstance(status, Status)
     Console(highlight=False).print(table(status, None))

@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Drive until Ctrl-C."""
-    from runtime import gate
+    from runtime.access import gate
     from runtime.errors import ConfigError
     from runtime.nodes import teleop
 
@@ -118,10 +118,10 @@ class _Desk:
         return Keyboard(terminal, self._clock)
 
     def _link(self) -> Any:
-        from runtime import gate
-        from runtime.bus_zenoh import ZenohBus
-        from runtime.node import BusPort
+        from runtime.access import gate
+        from runtime.bus.zenoh_bus import ZenohBus
         from runtime.nodes import teleop
+        from runtime.process.node import BusPort
 
         self._bus = ZenohBus(gate.visit(self._args.robot))
         return BusPort(

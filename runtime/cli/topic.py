@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Look until Ctrl-C, or as long as asked; 1 if nothing came."""
-    from runtime import gate
-    from runtime.bus_zenoh import ZenohBus
+    from runtime.access import gate
+    from runtime.bus.zenoh_bus import ZenohBus
 
     with ZenohBus(gate.visit(args.robot)) as bus:
         return _list(bus, args) if args.action == "list" else _follow(bus, args)
@@ -73,11 +73,11 @@ def _found(bus: Any, args: argparse.Namespace) -> "messages.Endpoint":
 
 def _follow(bus: Any, args: argparse.Namespace) -> int:
     from runtime import messages
+    from runtime.bus.inbox import Inbox
+    from runtime.bus.offset import measured
     from runtime.cli.message_text import LONG, text_of
     from runtime.clock import Clock
-    from runtime.inbox import Inbox
     from runtime.latency import Histogram
-    from runtime.offset import measured
     from runtime.topics import ALL, Topic
 
     found = _found(bus, args)

@@ -13,11 +13,11 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from runtime.child import Child
     from runtime.graph import Graph
     from runtime.machines import Machine
-    from runtime.run import Run
-    from runtime.supervisor import Event
+    from runtime.supervision.child import Child
+    from runtime.supervision.run import Run
+    from runtime.supervision.supervisor import Event
 
 _TURN_S = 0.05
 _NOTIFY_S = 0.5
@@ -87,13 +87,14 @@ def _run(args: argparse.Namespace, file: Path) -> int:
     from dataclasses import replace
 
     from runtime import graph as graphs
-    from runtime import keys, machines, rundir
-    from runtime.bus_zenoh import ZenohBus
+    from runtime import machines, rundir
+    from runtime.access import keys
+    from runtime.bus.zenoh_bus import ZenohBus
     from runtime.cli.screen import Screen
     from runtime.config import to_yaml
     from runtime.errors import ConfigError
-    from runtime.results import check_free
-    from runtime.run import Run
+    from runtime.reports.results import check_free
+    from runtime.supervision.run import Run
 
     if args.duration is not None and not args.duration > 0:
         raise ConfigError(f"--duration = {args.duration:g}, must be more than 0 s")
@@ -152,7 +153,7 @@ def _run(args: argparse.Namespace, file: Path) -> int:
 
 
 def _install(file: Path, robot: str, args: argparse.Namespace, machine: "Machine") -> int:
-    from runtime import service
+    from runtime.supervision import service
 
     extra = [] if args.remote is None else ["--remote", *([args.remote] if args.remote else [])]
     extra += [] if args.host is None else ["--host", args.host]
@@ -179,7 +180,7 @@ def _check(file: Path, headless: bool, machine: "Machine") -> dict[str, Any]:
     from runtime.cli.patience import told
     from runtime.clock import Clock
     from runtime.errors import ConfigError, HallwayError
-    from runtime.supervisor import child_environment
+    from runtime.supervision.supervisor import child_environment
 
     command = [sys.executable, "-m", "runtime.graph", str(file)]
     if headless:
@@ -205,7 +206,7 @@ def _empty(out: Path) -> None:
     """Make the folder of the results; an older one of that name is kept beside it."""
     import shutil
 
-    from runtime.results import RUN_FILE, to_json
+    from runtime.reports.results import RUN_FILE, to_json
 
     if out.is_dir() and any(out.iterdir()):
         old = out.with_name(f"{out.name}.old")
@@ -218,7 +219,7 @@ def _empty(out: Path) -> None:
 
 def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
     """Turn until everything has ended; return whether a person ended it."""
-    from runtime.realtime import notify_init
+    from runtime.process.realtime import notify_init
 
     asked: list[int] = []
 
@@ -262,7 +263,7 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
 
 def _in_short(live: "Run", event: "Event") -> str:
     """Return what happened, without the reason that ends the run: it is the last word, and said there."""
-    from runtime.child import State
+    from runtime.supervision.child import State
 
     child = live.supervisor.children.get(event.node)
     ends_all = child is not None and child.state is State.FAILED and child.spec.required
@@ -293,9 +294,9 @@ def _resolved_config(graph: "Graph", resolved: dict[str, Any]) -> dict[str, Any]
 def _save(
     live: "Run", config: dict[str, Any], out: Path, args: argparse.Namespace, code: int
 ) -> dict[str, Any]:
-    from runtime.report_folder import report_on
-    from runtime.results import link_latest, provenance
-    from runtime.run import collect
+    from runtime.reports.folder import report_on
+    from runtime.reports.results import link_latest, provenance
+    from runtime.supervision.run import collect
 
     about = {
         **provenance(live.graph.seed),
@@ -317,7 +318,7 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
     if report["reason"]:
         print(f"hallway up: {report['reason']}", file=sys.stderr)
     if as_json:
-        from runtime.results import to_json
+        from runtime.reports.results import to_json
 
         print(json.dumps(json.loads(to_json(report))))
         return

@@ -68,13 +68,14 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _show_robot(args: argparse.Namespace, config: "Config", folder: Path, asked: list[int]) -> int:
-    from runtime import gate, rundir
-    from runtime.bus_zenoh import ZenohBus
+    from runtime import rundir
+    from runtime.access import gate
+    from runtime.bus.offset import Follower
+    from runtime.bus.zenoh_bus import ZenohBus
     from runtime.clock import Clock
-    from runtime.node import BusPort
     from runtime.nodes import viewer
-    from runtime.nodes.viewer_scene import SUBSCRIBES
-    from runtime.offset import Follower
+    from runtime.nodes.viewing.scene import SUBSCRIBES
+    from runtime.process.node import BusPort
 
     session = _session(args.robot, args.connect)
     presence = rundir.Presence(args.robot)
@@ -118,8 +119,8 @@ def _session(robot: str, address: str | None) -> dict[str, Any]:
     """Return how to reach a robot: on this machine, or paired with it, perhaps at another address."""
     from dataclasses import replace
 
-    from runtime import gate
-    from runtime.keys import paired
+    from runtime.access import gate
+    from runtime.access.keys import paired
 
     if address is None:
         return gate.visit(robot)
@@ -131,7 +132,7 @@ def _session(robot: str, address: str | None) -> dict[str, Any]:
 
 
 def _show_recording(args: argparse.Namespace, config: "Config", folder: Path, asked: list[int]) -> int:
-    from runtime.nodes.viewer_recording import draw, shown
+    from runtime.nodes.viewing.recording import draw, shown
 
     content = shown(args.file)
     with _target(config, folder, content.name) as (screen, server):
@@ -147,7 +148,7 @@ def _show_recording(args: argparse.Namespace, config: "Config", folder: Path, as
 
 
 def _show_rrd(file: Path, config: "Config", folder: Path, asked: list[int]) -> int:
-    from runtime.nodes.viewer_screen import send_file
+    from runtime.nodes.viewing.screen import send_file
 
     if config.mode == "save":
         raise ConfigError(f"--save {config.file}: {file} is saved already")
@@ -161,7 +162,7 @@ def _show_rrd(file: Path, config: "Config", folder: Path, asked: list[int]) -> i
 
 @contextmanager
 def _target(config: "Config", folder: Path, robot: str) -> Iterator[tuple[Any, Any]]:
-    from runtime.nodes.viewer_screen import Screen
+    from runtime.nodes.viewing.screen import Screen
 
     if config.mode == "save":
         yield Screen(robot, file=Path(config.file)), None
@@ -173,7 +174,7 @@ def _target(config: "Config", folder: Path, robot: str) -> Iterator[tuple[Any, A
 @contextmanager
 def _server(config: "Config", folder: Path) -> Iterator[Any]:
     from runtime.nodes.viewer import has_screen
-    from runtime.nodes.viewer_server import ViewerServer
+    from runtime.nodes.viewing.server import ViewerServer
 
     server = ViewerServer(
         web=config.mode == "web" or not has_screen(),

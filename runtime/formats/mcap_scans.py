@@ -9,8 +9,8 @@ import numpy as np
 from runtime.formats.errors import FormatError
 from runtime.formats.laser_log import Numbers
 from runtime.formats.mcap_log import LIBRARY, McapReader
+from runtime.formats.missing import Account
 from runtime.messages import BadMessageError, decode
-from runtime.missing import Account
 
 LASER_TYPE = "sensor_msgs/msg/LaserScan"
 

@@ -5,9 +5,9 @@ import threading
 import time
 from pathlib import Path
 
-from runtime.bus import Bus
-from runtime.offset import question_key
-from runtime.recovery import keep_ring
+from runtime.bus.contract import Bus
+from runtime.bus.offset import question_key
+from runtime.recordings.recovery import keep_ring
 
 QUESTION = "keep"
 _ASK_S = 2.0

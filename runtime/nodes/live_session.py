@@ -18,7 +18,7 @@ from runtime.config import to_yaml
 from runtime.nodes.saved import Saved, load, parts_of, places_in_words
 from runtime.nodes.scan_keeper import Kept, ScanKeeper
 from runtime.port import Port
-from runtime.results import provenance
+from runtime.reports.results import provenance
 
 Mapper = DpSlam | Returning
 

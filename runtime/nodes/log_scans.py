@@ -6,7 +6,7 @@ from pathlib import Path
 from processing.scan import Beams, Scan
 from runtime.formats.laser_log import LaserLog
 from runtime.formats.logs import open_log
-from runtime.missed import Missed
+from runtime.nodes.missed import Missed
 
 
 def beams_of(log: LaserLog) -> Beams:

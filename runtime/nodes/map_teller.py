@@ -7,9 +7,9 @@ have changed. Guests on other machines get neither: they ask for tiles.
 from processing.dpslam.filter import DpSlam
 from processing.dpslam.resume import Returning
 from runtime import messages
+from runtime.bus.pulling import grid_message
 from runtime.nodes.convert import pose_to_message
 from runtime.port import Port
-from runtime.pulling import grid_message
 from runtime.tiles import Tiles
 
 PATH_POSES = 400

@@ -17,7 +17,6 @@ from processing.motion import Motion, following
 from processing.odometry import LaserOdometry, OdometryConfig
 from processing.scan import Scan
 from runtime import messages
-from runtime.checkpoint import Checkpoint
 from runtime.formats.map_server import GridMap
 from runtime.messages import BadMessageError
 from runtime.nodes.convert import (
@@ -32,7 +31,8 @@ from runtime.nodes.matcher import rehearsal
 from runtime.nodes.rows import KEYS_COLUMNS, KEYS_FILE, Rows, write_particles
 from runtime.nodes.saved import places_in_words
 from runtime.port import Level, Port, Subscription
-from runtime.results import RunResult, provenance, save
+from runtime.process.checkpoint import Checkpoint
+from runtime.reports.results import RunResult, provenance, save
 
 SUBSCRIBES: tuple[str, ...] = ("scan", "odom")
 PUBLISHES: tuple[str, ...] = ("pose", "map", "map_updates", "particles", "trajectory", "tf")

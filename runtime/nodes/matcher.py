@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from processing.odometry import LaserOdometry, Match, OdometryConfig, Tracking
 from processing.scan import Beams, Scan
 from runtime import messages
-from runtime.checkpoint import Checkpoint
 from runtime.messages import BadMessageError
-from runtime.missed import Missed
 from runtime.nodes import mounting
 from runtime.nodes.convert import motion_to_message, scan_from_message
+from runtime.nodes.missed import Missed
 from runtime.nodes.rows import MATCH_COLUMNS, MATCH_FILE, Rows
 from runtime.port import Level, Port, Received
+from runtime.process.checkpoint import Checkpoint
 from runtime.topics import topic
 
 SUBSCRIBES: tuple[str, ...] = ("scan",)

@@ -23,6 +23,7 @@ from processing.slam import Slam, Step
 from runtime.config import to_yaml
 from runtime.formats.laser_log import LaserLog
 from runtime.formats.map_server import GridMap
+from runtime.formats.session import SessionWriter
 from runtime.messages import encode
 from runtime.nodes.convert import scan_to_message
 from runtime.nodes.log_scans import iterate
@@ -31,8 +32,7 @@ from runtime.nodes.offline_config import OfflineConfig
 from runtime.nodes.offline_report import Diary
 from runtime.nodes.rows import ancestors_of
 from runtime.nodes.saved import Saved, about, grid_map, parts_of
-from runtime.results import RunResult, provenance
-from runtime.session import SessionWriter
+from runtime.reports.results import RunResult, provenance
 
 
 class OfflineRun:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from processing.occupancy import OccupancyGrid
 from processing.se2 import Pose
 from processing.slam import Step
-from runtime.report import ReportData, page
+from runtime.reports.report import ReportData, page
 
 
 class Diary:

@@ -19,7 +19,7 @@ from processing.se2 import Pose
 from runtime.formats.errors import FormatError
 from runtime.formats.map_server import FREE, OCCUPIED_THRESHOLD, READ_FREE_THRESHOLD
 from runtime.formats.map_server import OCCUPIED as BLACK
-from runtime.session import Parts
+from runtime.formats.session import Parts
 
 COLOURED = 60
 """Channels of a colour differ by so much at least; greys that an editor has touched, by less."""

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from runtime.errors import ConfigError
 from runtime.messages import Clock, stamp_ns_of, time_of
-from runtime.pace import Control
 from runtime.port import Port
-from runtime.replay import Played, Recorded, ReplayConfig, play
-from runtime.results import to_json
+from runtime.recordings.pace import Control
+from runtime.recordings.replay import Played, Recorded, ReplayConfig, play
+from runtime.reports.results import to_json
 
 SUBSCRIBES: tuple[str, ...] = ("pose",)
 PUBLISHES: tuple[str, ...] = ("scan", "truth", "battery", "bumper", "clock")

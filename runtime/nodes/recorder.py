@@ -11,12 +11,12 @@ from pathlib import Path
 from runtime.errors import ConfigError, DataLostError
 from runtime.formats.mcap_log import LATCHED_QOS, QOS_KEY, McapChannel
 from runtime.formats.mcap_writer import is_written
-from runtime.identity import CONFIG_FILE, Identity, installed, left_in
 from runtime.messages import topic_key
 from runtime.nodes.keeping import QUESTION, RingKeeper
 from runtime.port import Port, Received, Subscription
-from runtime.recording import Recording, RecordingConfig
-from runtime.recording_names import ring_files
+from runtime.process.identity import CONFIG_FILE, Identity, installed, left_in
+from runtime.recordings.names import ring_files
+from runtime.recordings.recording import Recording, RecordingConfig
 from runtime.topics import TOPICS
 from runtime.topics import topic as topic_named
 

@@ -16,10 +16,10 @@ from processing.dpslam.past import Past
 from processing.occupancy import OccupancyGrid
 from processing.se2 import Pose
 from runtime.formats.map_server import GridMap, trinary
+from runtime.formats.session import CutSessionError, Parts, Session, read_session
 from runtime.formats.tum import tum_lines
 from runtime.nodes.offline_config import OfflineConfig, recorded_config
-from runtime.picture import png
-from runtime.session import CutSessionError, Parts, Session, read_session
+from runtime.reports.picture import png
 
 
 @dataclass(frozen=True, slots=True, eq=False)

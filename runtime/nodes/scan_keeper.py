@@ -9,9 +9,9 @@ from pathlib import Path
 
 from processing.scan import Scan
 from runtime.formats.mcap_log import ACTIVE_SUFFIX
+from runtime.formats.session import Parts, Session, SessionWriter
 from runtime.messages import encode
 from runtime.nodes.convert import scan_to_message
-from runtime.session import Parts, Session, SessionWriter
 
 Kept = tuple[tuple[Path, int], ...]
 """Files, and how many scans of each count."""

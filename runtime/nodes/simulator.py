@@ -17,9 +17,9 @@ from drivers import world
 from drivers.create.emulator import CreateEmulator
 from drivers.urg04lx.emulator import Emulator as LaserEmulator
 from runtime import messages
-from runtime.checkpoint import Checkpoint
 from runtime.nodes.convert import pose_to_message
 from runtime.port import Port
+from runtime.process.checkpoint import Checkpoint
 
 SUBSCRIBES: tuple[str, ...] = ()
 PUBLISHES: tuple[str, ...] = ("truth",)

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from runtime.latency import SCREEN, Hop
-from runtime.nodes.viewer_painter import Painter
-from runtime.nodes.viewer_scene import SUBSCRIBES, Scene
-from runtime.nodes.viewer_server import ViewerServer
+from runtime.nodes.viewing.painter import Painter
+from runtime.nodes.viewing.scene import SUBSCRIBES, Scene
+from runtime.nodes.viewing.server import ViewerServer
 from runtime.port import Port, Subscription
 
 PUBLISHES = ()
@@ -65,7 +65,7 @@ def run(port: Port, config: Config, say: Callable[[str], None] | None = None) ->
         config: Checked.
         say: Told where to look, once.
     """
-    from runtime.nodes.viewer_screen import Screen
+    from runtime.nodes.viewing.screen import Screen
 
     server: ViewerServer | None = None
     if config.mode != "save":

@@ -25,10 +25,10 @@ WATCH = """
 import sys
 import time
 
-from runtime import gate
-from runtime.bus_zenoh import ZenohBus
+from runtime.access import gate
+from runtime.bus.zenoh_bus import ZenohBus
 from runtime.errors import HallwayError
-from runtime.node import BusPort
+from runtime.process.node import BusPort
 
 until = time.monotonic() + 170
 while True:

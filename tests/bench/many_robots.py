@@ -23,9 +23,10 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from runtime import links, messages  # noqa: E402
-from runtime.bus_zenoh import ZenohBus  # noqa: E402
-from runtime.nodes.viewer_scene import SUBSCRIBES  # noqa: E402
+from runtime import messages  # noqa: E402
+from runtime.bus import links  # noqa: E402
+from runtime.bus.zenoh_bus import ZenohBus  # noqa: E402
+from runtime.nodes.viewing.scene import SUBSCRIBES  # noqa: E402
 from runtime.topics import TOPICS  # noqa: E402
 
 STREAMS = {  # Hz and bytes, as `hallway info` finds them in a recording of a minute of the demo

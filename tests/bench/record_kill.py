@@ -19,12 +19,12 @@ SCAN_BYTES = 2816
 CHILD = """
 import sys, threading, time
 sys.path.insert(0, {root!r})
-from runtime.bus_memory import MemoryBus
+from runtime.bus.memory import MemoryBus
 from runtime.formats.mcap_writer import McapWriter
-from runtime.identity import Identity
-from runtime.node import BusPort
+from runtime.process.identity import Identity
+from runtime.process.node import BusPort
 from runtime.nodes import recorder
-from runtime.recording import RecordingConfig
+from runtime.recordings.recording import RecordingConfig
 flush = McapWriter.flush
 sent = 0
 def told_flush(self, to_disk=False):

@@ -35,13 +35,14 @@ from robot_run import started
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from runtime import config, graph, links, messages  # noqa: E402
-from runtime.bus import Mailbox  # noqa: E402
-from runtime.bus_zenoh import ZenohBus  # noqa: E402
+from runtime import config, graph, messages  # noqa: E402
+from runtime.bus import links  # noqa: E402
+from runtime.bus.contract import Mailbox  # noqa: E402
+from runtime.bus.offset import measured  # noqa: E402
+from runtime.bus.zenoh_bus import ZenohBus  # noqa: E402
 from runtime.clock import Clock  # noqa: E402
-from runtime.health import Health  # noqa: E402
 from runtime.nodes.convert import pose_from_message  # noqa: E402
-from runtime.offset import measured  # noqa: E402
+from runtime.process.health import Health  # noqa: E402
 from runtime.topics import topic  # noqa: E402
 
 MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
@@ -286,7 +287,7 @@ def pid_of(health, run_dir, name):
     for entry in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
             words = (entry / "cmdline").read_bytes().decode().split("\0")
-            if str(run_dir) in words and "runtime.hub" in words:
+            if str(run_dir) in words and "runtime.supervision.hub" in words:
                 return int(entry.name)
     return 0
 

@@ -24,9 +24,10 @@ from robot_run import started
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from runtime import config, graph, links, messages  # noqa: E402
-from runtime.bus import Mailbox  # noqa: E402
-from runtime.bus_zenoh import ZenohBus  # noqa: E402
+from runtime import config, graph, messages  # noqa: E402
+from runtime.bus import links  # noqa: E402
+from runtime.bus.contract import Mailbox  # noqa: E402
+from runtime.bus.zenoh_bus import ZenohBus  # noqa: E402
 from runtime.topics import topic  # noqa: E402
 
 REVOLUTION_MS = 100.0

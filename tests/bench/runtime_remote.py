@@ -28,11 +28,13 @@ sys.path.insert(0, str(ROOT))
 MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """As a run's directory is on a robot with systemd: not on a disk that others use."""
 
-from runtime import gate, keys, links, messages  # noqa: E402
-from runtime.bus import Mailbox  # noqa: E402
-from runtime.bus_zenoh import ZenohBus  # noqa: E402
+from runtime import messages  # noqa: E402
+from runtime.access import gate, keys  # noqa: E402
+from runtime.bus import links  # noqa: E402
+from runtime.bus.contract import Mailbox  # noqa: E402
+from runtime.bus.offset import measured  # noqa: E402
+from runtime.bus.zenoh_bus import ZenohBus  # noqa: E402
 from runtime.clock import Clock  # noqa: E402
-from runtime.offset import measured  # noqa: E402
 from runtime.topics import topic  # noqa: E402
 
 ROBOT = "10.77.32.1"
@@ -61,8 +63,8 @@ def key(name):
 
 def guest(sessions):
     """Look with some sessions; answer each line on stdin by what was seen since the last."""
-    from runtime.node import BusPort
-    from runtime.nodes.viewer_scene import SUBSCRIBES
+    from runtime.nodes.viewing.scene import SUBSCRIBES
+    from runtime.process.node import BusPort
 
     with contextlib.ExitStack() as stack:
         ports = []

@@ -39,13 +39,14 @@ MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
 from drivers import world  # noqa: E402
 from drivers.world.drive import simulate_scans  # noqa: E402
 from processing.scan import Scan  # noqa: E402
-from runtime import config, graph, links, messages  # noqa: E402
-from runtime.bus import Mailbox  # noqa: E402
-from runtime.bus_zenoh import ZenohBus  # noqa: E402
+from runtime import config, graph, messages  # noqa: E402
+from runtime.bus import links  # noqa: E402
+from runtime.bus.contract import Mailbox  # noqa: E402
+from runtime.bus.zenoh_bus import ZenohBus  # noqa: E402
 from runtime.cli.study import drives  # noqa: E402
-from runtime.health import Health  # noqa: E402
-from runtime.node import BusPort  # noqa: E402
 from runtime.nodes.convert import scan_to_message  # noqa: E402
+from runtime.process.health import Health  # noqa: E402
+from runtime.process.node import BusPort  # noqa: E402
 from runtime.topics import topic  # noqa: E402
 
 REVOLUTION_MS = 100.0
@@ -218,7 +219,7 @@ def processes(up, run_dir, health):
             words = (entry / "cmdline").read_bytes().decode().split("\0")
         except OSError:
             continue
-        if "runtime.hub" in words and str(run_dir) in words:
+        if "runtime.supervision.hub" in words and str(run_dir) in words:
             pids["hub"] = int(entry.name)
     found = {}
     for name, pid in pids.items():

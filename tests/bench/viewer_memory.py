@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from runtime.nodes.viewer_scene import Scene
-from runtime.nodes.viewer_screen import Screen
-from runtime.nodes.viewer_server import ViewerServer
+from runtime.nodes.viewing.scene import Scene
+from runtime.nodes.viewing.screen import Screen
+from runtime.nodes.viewing.server import ViewerServer
 
 _spec = importlib.util.spec_from_file_location(
     "viewer_story", Path(__file__).parents[1] / "integration" / "viewer_story.py"

@@ -8,10 +8,10 @@ import time
 
 from drivers.create.emulator import CreateEmulator, stopped_after_ms
 from drivers.create.operators import Intent
-from runtime.bus_memory import MemoryBus
-from runtime.node import BusPort
+from runtime.bus.memory import MemoryBus
 from runtime.nodes import base
 from runtime.nodes.steering import steering_message
+from runtime.process.node import BusPort
 
 LOADED = ("the driver was held up", "no input from the operator")
 """Reasons to stand that a busy machine brings about by itself."""

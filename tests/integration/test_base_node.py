@@ -17,9 +17,9 @@ from drivers.errors import PortBusyError, PortMissingError
 from drivers.transport import SerialStream
 from drivers.world import WheeledRobot, room
 from runtime import messages
-from runtime.bus_memory import MemoryBus
-from runtime.node import BusPort
+from runtime.bus.memory import MemoryBus
 from runtime.nodes import base
+from runtime.process.node import BusPort
 
 _spec = importlib.util.spec_from_file_location("create_rig", Path(__file__).with_name("create_rig.py"))
 create_rig = importlib.util.module_from_spec(_spec)

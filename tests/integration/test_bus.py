@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from runtime import links
-from runtime.bus import Mailbox, wait_matching
-from runtime.bus_memory import MemoryBus
-from runtime.bus_zenoh import BusError, ZenohBus
+from runtime.bus import links
+from runtime.bus.contract import Mailbox, wait_matching
+from runtime.bus.memory import MemoryBus
+from runtime.bus.zenoh_bus import BusError, ZenohBus
 from runtime.messages import Attachment
 
 GID = bytes(range(16))

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from runtime import links
-from runtime.bus_zenoh import ZenohBus
+from runtime.bus import links
+from runtime.bus.zenoh_bus import ZenohBus
 from runtime.formats.mcap_log import McapReader
-from runtime.health import Health
+from runtime.process.health import Health
 
 ROOT = Path(__file__).resolve().parents[2]
 KILLED = ("matcher", "mapper")

@@ -15,12 +15,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from runtime import config, gate, graph, keys, links, messages
-from runtime.bus import Mailbox
-from runtime.bus_zenoh import ZenohBus
-from runtime.health import Health
+from runtime import config, graph, messages
+from runtime.access import gate, keys
+from runtime.bus import links
+from runtime.bus.contract import Mailbox
+from runtime.bus.zenoh_bus import ZenohBus
 from runtime.nodes.convert import pose_from_message
-from runtime.status import status_of
+from runtime.process.health import Health
+from runtime.process.status import status_of
 from runtime.tiles import Mosaic
 from runtime.topics import topic
 

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from runtime import links
-from runtime.bus_zenoh import ZenohBus
+from runtime.bus import links
+from runtime.bus.zenoh_bus import ZenohBus
 from runtime.cli.study import drives
-from runtime.health import Health
+from runtime.process.health import Health
 from tests.integration.test_docs import calls
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,7 +6,7 @@ from PIL import Image
 
 from runtime.cli import main
 from runtime.cli.study import drives, figures, stages
-from runtime.picture import HITS, PATH
+from runtime.reports.picture import HITS, PATH
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime import keys
+from runtime.access import keys
 from runtime.formats.mcap_log import McapReader
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -27,17 +27,17 @@ ROBOT_SIDE = """
     import contextlib, json, subprocess, sys, threading, time
     import numpy as np
     from pathlib import Path
-    from runtime import links
-    from runtime.bus import Mailbox
-    from runtime.bus_zenoh import ZenohBus
+    from runtime.bus import links
+    from runtime.bus.contract import Mailbox
+    from runtime.bus.zenoh_bus import ZenohBus
     from runtime.clock import Clock
-    from runtime.identity import Identity, tell
-    from runtime.node import BusPort
-    from runtime.offset import tell_time
+    from runtime.process.identity import Identity, tell
+    from runtime.process.node import BusPort
+    from runtime.bus.offset import tell_time
     from runtime.tiles import Tiles
     from runtime.topics import topic
     run_dir, address = Path(sys.argv[1]), sys.argv[2]
-    hub = [sys.executable, "-m", "runtime.hub", "--run-dir", str(run_dir), "--remote", f"{address}:7448"]
+    hub = [sys.executable, "-m", "runtime.supervision.hub", "--run-dir", str(run_dir), "--remote", f"{address}:7448"]
     with subprocess.Popen(hub) as process, contextlib.ExitStack() as last:
         last.callback(process.terminate)
         while not (run_dir / "hub.sock").exists():
@@ -67,12 +67,13 @@ ROBOT_SIDE = """
 
 GUEST_SIDE = """
     import json, sys, time
-    from runtime import gate, keys, messages
-    from runtime.bus import Mailbox, wait_matching
-    from runtime.bus_zenoh import BusError, ZenohBus
+    from runtime.access import gate, keys
+    from runtime import messages
+    from runtime.bus.contract import Mailbox, wait_matching
+    from runtime.bus.zenoh_bus import BusError, ZenohBus
     from runtime.clock import Clock
-    from runtime.offset import measured
-    from runtime.pulling import Puller
+    from runtime.bus.offset import measured
+    from runtime.bus.pulling import Puller
     from runtime.topics import topic
     def key(name): return messages.topic_key(f"robot/{name}", topic(name).type)
     config = gate.visit("robot")
@@ -121,9 +122,10 @@ GUEST_SIDE = """
 
 STAYING_GUEST = """
     import json, sys, threading, time
-    from runtime import gate, messages
-    from runtime.bus import Mailbox
-    from runtime.bus_zenoh import ZenohBus
+    from runtime.access import gate
+    from runtime import messages
+    from runtime.bus.contract import Mailbox
+    from runtime.bus.zenoh_bus import ZenohBus
     from runtime.topics import topic
     def key(name): return messages.topic_key(f"robot/{name}", topic(name).type)
     stop = threading.Event()
@@ -335,7 +337,7 @@ def test_no_secret_is_in_a_log_a_recording_or_a_list_of_processes(robot, tmp_pat
         end = time.monotonic() + 20
         while not (log := (tmp_path / "robot.log").read_bytes()) and time.monotonic() < end:
             time.sleep(0.1)
-    assert b"runtime.hub" in running
+    assert b"runtime.supervision.hub" in running
     assert b"a.mcap" in running
     reader = McapReader(tmp_path / "a.mcap")
     recorded = b"".join(message.payload for message in reader.messages())

@@ -12,15 +12,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from runtime import links, rundir
-from runtime.bus_zenoh import ZenohBus
+from runtime import rundir
+from runtime.bus import links
+from runtime.bus.zenoh_bus import ZenohBus
 from runtime.cli import main
 from runtime.clock import Clock
 from runtime.formats.mcap_log import McapChannel, McapReader
 from runtime.formats.mcap_writer import McapWriter
-from runtime.identity import Identity
 from runtime.messages import LaserScan, encode, header, topic_key
-from runtime.node import BusPort
+from runtime.process.identity import Identity
+from runtime.process.node import BusPort
 
 ROOT = Path(__file__).resolve().parents[2]
 S = 10**9
@@ -241,7 +242,9 @@ def test_a_recording_without_a_scan_says_so(robot_in_domain_7, tmp_path, capsys)
 
 
 def test_a_recording_that_the_disk_ends_is_over_at_once(robot_in_domain_7, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("runtime.recording.shutil.disk_usage", lambda folder: SimpleNamespace(free=0))
+    monkeypatch.setattr(
+        "runtime.recordings.recording.shutil.disk_usage", lambda folder: SimpleNamespace(free=0)
+    )
     assert main(["record", "--robot", "ghost", "--out", str(tmp_path / "a.mcap"), "--json"]) == 4
     report = json.loads(capsys.readouterr().out)
     assert (report["files"], report["stopped"]) == ([], "the disk was full")

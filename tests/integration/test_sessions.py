@@ -17,12 +17,12 @@ from runtime.clock import Clock
 from runtime.formats.map_server import read_map
 from runtime.formats.mcap_log import McapChannel
 from runtime.formats.mcap_writer import McapWriter
+from runtime.formats.session import read_session, scans_of
 from runtime.formats.tum import read_tum
 from runtime.messages import encode
 from runtime.nodes import mapper
 from runtime.nodes.convert import motion_to_message, pose_from_message, scan_to_message
 from runtime.port import ListPort
-from runtime.session import read_session, scans_of
 from tests.lasers import beams_of_laser
 
 LASER = world.Urg04lx()

@@ -11,14 +11,14 @@ from drivers.create.operators import Intent
 from drivers.create.safety import State
 from drivers.world.drive import simulate_scans
 from runtime import messages
-from runtime.bus_memory import MemoryBus
-from runtime.checkpoint import Checkpoint
+from runtime.bus.memory import MemoryBus
 from runtime.clock import ManualClock
-from runtime.node import BusPort
 from runtime.nodes import base, laser, operator, simulator
 from runtime.nodes.convert import pose_from_message, pose_to_message
 from runtime.nodes.steering import input_of
 from runtime.port import ListPort, Received
+from runtime.process.checkpoint import Checkpoint
+from runtime.process.node import BusPort
 
 MS = 1_000_000
 

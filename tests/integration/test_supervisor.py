@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from runtime import realtime
-from runtime.child import State, last_line
 from runtime.clock import OFFSET_VARIABLE, Clock
 from runtime.graph import Graph, NodeSpec
-from runtime.supervisor import Supervisor, child_environment
+from runtime.process import realtime
+from runtime.supervision.child import State, last_line
+from runtime.supervision.supervisor import Supervisor, child_environment
 
 SLEEPS = "import time; time.sleep(600)"
 POLITE = (
@@ -143,7 +143,7 @@ def test_a_process_that_dies_or_freezes_is_there_again_within_two_seconds(scene,
 
 
 def test_each_failure_waits_longer_and_a_crash_loop_is_given_up(scene, monkeypatch):
-    monkeypatch.setattr("runtime.child._BACKOFF_S", (0.0, 0.01, 0.02, 0.03, 0.04, 0.05))
+    monkeypatch.setattr("runtime.supervision.child._BACKOFF_S", (0.0, 0.01, 0.02, 0.03, 0.04, 0.05))
     stage = scene({"a": "import sys; sys.exit('boom: 7 is too much')"})
     stage.until(lambda: stage.supervisor.over)
     assert stage.state("a") is State.FAILED
@@ -194,7 +194,7 @@ def test_a_node_that_is_never_ready_is_ended_and_says_so(scene):
 
 
 def test_a_node_that_does_not_speak_is_started_again_but_not_in_its_first_seconds(scene, monkeypatch):
-    monkeypatch.setattr("runtime.supervisor.SILENT_S", 0.3)
+    monkeypatch.setattr("runtime.supervision.supervisor.SILENT_S", 0.3)
     stage = scene({"a": SLEEPS})
     stage.ready, stage.silent = {"a"}, {"a"}
     stage.until(lambda: stage.state("a") is State.RUNNING)
@@ -231,7 +231,7 @@ time.sleep(600)
 
 
 def test_a_spare_process_takes_over_and_another_stands_by_for_it(scene, monkeypatch):
-    monkeypatch.setattr("runtime.child._SPARE_AFTER_S", 0.0)
+    monkeypatch.setattr("runtime.supervision.child._SPARE_AFTER_S", 0.0)
     stage = scene({"a": SPARE}, a=NodeSpec(module="m", spare=True))
     # Nobody is ready before the line is in the log: a spare that starts beside it could write first.
     stage.until(lambda: stage.wrote("a", "works\n"))
@@ -269,7 +269,7 @@ def test_after_a_blow_the_next_one_starts_in_the_same_turn_and_another_stands_by
 
 
 def test_a_spare_process_that_is_dead_or_frozen_is_replaced_by_a_fresh_one(scene, monkeypatch):
-    monkeypatch.setattr("runtime.child._SPARE_AFTER_S", 0.0)
+    monkeypatch.setattr("runtime.supervision.child._SPARE_AFTER_S", 0.0)
     for number in (signal.SIGKILL, signal.SIGSTOP):
         stage = scene({"a": SPARE}, a=NodeSpec(module="m", spare=True))
         stage.ready = {"a"}
@@ -295,7 +295,7 @@ time.sleep(600)
 
 
 def test_a_spare_process_that_is_called_while_it_imports_does_not_stand_aside_any_longer(scene, monkeypatch):
-    monkeypatch.setattr("runtime.child._SPARE_AFTER_S", 0.0)
+    monkeypatch.setattr("runtime.supervision.child._SPARE_AFTER_S", 0.0)
     if not realtime.step_aside():
         pytest.skip("who steps aside here could not step forward again")
     realtime.step_forward(0, like=os.getppid())
@@ -374,7 +374,7 @@ def test_every_process_has_the_clock_of_the_run_and_one_thread_for_numbers(scene
 
 
 def test_logs_are_cut_before_they_fill_the_disk(scene, monkeypatch):
-    monkeypatch.setattr("runtime.child._LOG_BYTES", 100)
+    monkeypatch.setattr("runtime.supervision.child._LOG_BYTES", 100)
     stage = scene({"a": SLEEPS})
     stage.until(lambda: stage.state("a") is State.STARTING)
     child = stage.children["a"]

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from runtime import links
-from runtime.bus_zenoh import ZenohBus
-from runtime.health import Health
+from runtime.bus import links
+from runtime.bus.zenoh_bus import ZenohBus
+from runtime.process.health import Health
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -301,7 +301,7 @@ def test_the_status_as_a_stream_tells_of_the_hub_and_of_the_clock(desk):
             break
     status.send_signal(signal.SIGINT)
     status.communicate(timeout=20)
-    assert b"runtime.hub" in Path(f"/proc/{hub['pid']}/cmdline").read_bytes()
+    assert b"runtime.supervision.hub" in Path(f"/proc/{hub['pid']}/cmdline").read_bytes()
     assert hub["rss_mb"] > 1
     assert abs(clock) < 50_000_000  # one machine, one clock
     with ZenohBus(links.peer(desk.folder / "run" / "trial", "test")) as bus:

@@ -13,8 +13,8 @@ import pytest
 from runtime import messages
 from runtime.cli import main
 from runtime.formats.mcap_log import McapChannel
-from runtime.nodes import viewer_server
-from runtime.recording import Recording, RecordingConfig
+from runtime.nodes.viewing import server as viewer_server
+from runtime.recordings.recording import Recording, RecordingConfig
 from runtime.topics import topic
 
 _spec = importlib.util.spec_from_file_location("viewer_story", Path(__file__).with_name("viewer_story.py"))

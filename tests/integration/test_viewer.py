@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from runtime.bus_memory import MemoryBus
-from runtime.node import BusPort
+from runtime.bus.memory import MemoryBus
 from runtime.nodes import viewer, viewer_scene, viewer_server
-from runtime.nodes.viewer_painter import WAITING_MAX, Painter
+from runtime.nodes.viewing.painter import WAITING_MAX, Painter
+from runtime.process.node import BusPort
 
 
 def load(name):
@@ -215,7 +215,7 @@ def test_it_ends_when_it_is_told_even_if_it_is_stopped(server):
 def test_it_does_not_outlive_whoever_started_it(tmp_path):
     script = (
         "import os, sys, time\n"
-        "from runtime.nodes.viewer_server import ViewerServer, free_port\n"
+        "from runtime.nodes.viewing.server import ViewerServer, free_port\n"
         "server = ViewerServer(web=True, port=free_port(0), web_port=free_port(0), memory_mb=64)\n"
         "print(server._process.pid, server.port, flush=True)\n"
         "time.sleep(60)\n"

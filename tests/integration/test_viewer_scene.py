@@ -9,7 +9,7 @@ import pytest
 from runtime import messages
 from runtime.nodes import viewer_scene, viewer_shapes
 from runtime.nodes.convert import transform_to_message
-from runtime.nodes.viewer_scene import Scene
+from runtime.nodes.viewing.scene import Scene
 
 _spec = importlib.util.spec_from_file_location("viewer_story", Path(__file__).with_name("viewer_story.py"))
 story = importlib.util.module_from_spec(_spec)

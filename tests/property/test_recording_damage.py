@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from runtime.formats.mcap_log import MAGIC, McapChannel, McapReader
 from runtime.formats.mcap_writer import McapWriter
-from runtime.missing import Account
+from runtime.formats.missing import Account
 
 CHANNEL = McapChannel("/robot/bumper", "std_msgs/msg/UInt8", {"gid": "aa"})
 many = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

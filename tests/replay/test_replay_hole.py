@@ -11,18 +11,18 @@ from drivers.world import Urg04lx, pillar_hall, simulate_scans
 from processing.odometry import Tracking
 from processing.scan import Scan
 from processing.slam import Slam
-from runtime.bus_memory import MemoryBus
+from runtime.bus.inbox import Inbox
+from runtime.bus.memory import MemoryBus
 from runtime.clock import Clock
 from runtime.formats.logs import open_log
 from runtime.formats.mcap_log import McapChannel
 from runtime.formats.mcap_writer import McapWriter
-from runtime.inbox import Inbox
 from runtime.messages import Attachment, encode, topic_key
-from runtime.node import BusPort
 from runtime.nodes import matcher, player
 from runtime.nodes.convert import motion_to_message, scan_to_message
 from runtime.nodes.log_scans import counted
-from runtime.replay import ReplayConfig
+from runtime.process.node import BusPort
+from runtime.recordings.replay import ReplayConfig
 from runtime.topics import ALL, topic
 from tests.lasers import beams_of_laser
 

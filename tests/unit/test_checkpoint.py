@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.checkpoint import LONGEST_NS, Checkpoint
+from runtime.process.checkpoint import LONGEST_NS, Checkpoint
 
 EVERY_NS = 500
 

@@ -2,7 +2,7 @@
 
 import json
 
-from runtime.run import collect
+from runtime.supervision.run import collect
 
 
 def test_latencies_of_monitor_and_viewer_are_in_one_place(tmp_path):

@@ -7,13 +7,13 @@ import pytest
 from rich.console import Console
 
 from runtime import messages
-from runtime.bus_memory import MemoryBus
+from runtime.bus.memory import MemoryBus
+from runtime.bus.offset import Offset
 from runtime.cli.screen import table
-from runtime.health import Health
 from runtime.messages import Attachment
-from runtime.node import BusPort
-from runtime.offset import Offset
-from runtime.status import status_of
+from runtime.process.health import Health
+from runtime.process.node import BusPort
+from runtime.process.status import status_of
 from runtime.topics import topic
 
 KEY = messages.topic_key("robot/diagnostics", topic("diagnostics").type)
@@ -241,4 +241,4 @@ def names(health):
 
 def later(monkeypatch, seconds):
     now = time.monotonic
-    monkeypatch.setattr("runtime.health.time.monotonic", lambda: now() + seconds)
+    monkeypatch.setattr("runtime.process.health.time.monotonic", lambda: now() + seconds)

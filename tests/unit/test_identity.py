@@ -2,8 +2,8 @@
 
 import pytest
 
-from runtime.bus_memory import MemoryBus
-from runtime.identity import Identity, left_in, tell, told
+from runtime.bus.memory import MemoryBus
+from runtime.process.identity import Identity, left_in, tell, told
 
 RUN = Identity(seed=7, domain=3, clock_offset_ns=5, version="1.2", host="onboard", config="nodes: {}\n")
 

@@ -6,7 +6,7 @@ import pytest
 
 from runtime.cli import main
 from runtime.formats.mcap_log import McapChannel
-from runtime.recording import Recording, RecordingConfig
+from runtime.recordings.recording import Recording, RecordingConfig
 
 S = 10**9
 SCAN = McapChannel("/robot/scan", "sensor_msgs/msg/LaserScan", {"gid": "aa"})

@@ -5,9 +5,11 @@ import stat
 
 import pytest
 
-from runtime import gate, hub, keys, links
+from runtime.access import gate, keys
+from runtime.bus import links
 from runtime.cli import main
 from runtime.errors import ConfigError
+from runtime.supervision import hub
 
 
 @pytest.fixture

@@ -5,11 +5,12 @@ import textwrap
 
 import pytest
 
-from runtime import graph, keys, machines
+from runtime import graph, machines
+from runtime.access import keys
 from runtime.cli import main
 from runtime.errors import ConfigError
 from runtime.machines import Machine, this_machine
-from runtime.supervisor import HUB, commands
+from runtime.supervision.supervisor import HUB, commands
 
 SPLIT = """
     robot: rover

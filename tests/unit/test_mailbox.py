@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from runtime.bus import Arrival, Mailbox
-from runtime.bus_memory import key_matches
+from runtime.bus.contract import Arrival, Mailbox
+from runtime.bus.memory import key_matches
 from runtime.messages import Attachment
 
 

@@ -8,16 +8,16 @@ import pytest
 
 from processing.occupancy import OccupancyGrid
 from runtime import messages
-from runtime.bus import Mailbox
-from runtime.bus_memory import MemoryBus
+from runtime.access.gate import BATCH_BYTES
+from runtime.bus.contract import Mailbox
+from runtime.bus.memory import MemoryBus
+from runtime.bus.pulling import Puller
 from runtime.clock import ManualClock
-from runtime.gate import BATCH_BYTES
-from runtime.node import BusPort
 from runtime.nodes import map_teller
 from runtime.nodes.map_teller import MapTeller
-from runtime.nodes.viewer_scene import Scene
+from runtime.nodes.viewing.scene import Scene
 from runtime.port import ListPort, Received
-from runtime.pulling import Puller
+from runtime.process.node import BusPort
 from runtime.tiles import TILE
 
 SECOND = 1_000_000_000

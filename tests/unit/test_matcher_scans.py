@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from runtime import messages
-from runtime.bus_memory import MemoryBus
+from runtime.bus.memory import MemoryBus
 from runtime.clock import ManualClock
-from runtime.node import BusPort
 from runtime.nodes import matcher
 from runtime.nodes.matcher import KEEP_SCANS, Scans
 from runtime.port import ListPort
+from runtime.process.node import BusPort
 from runtime.topics import topic
 
 PERIOD_NS = topic("scan").period_ns

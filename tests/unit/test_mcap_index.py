@@ -8,7 +8,7 @@ from runtime.formats.errors import FormatError
 from runtime.formats.mcap_index import McapIndex
 from runtime.formats.mcap_log import McapChannel, McapReader
 from runtime.formats.mcap_writer import McapWriter
-from runtime.replay import Recorded, ReplayConfig
+from runtime.recordings.replay import Recorded, ReplayConfig
 from runtime.topics import TOPICS
 
 S = 10**9

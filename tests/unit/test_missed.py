@@ -2,7 +2,7 @@
 
 import pytest
 
-from runtime.missed import MISSED_MAX, Missed
+from runtime.nodes.missed import MISSED_MAX, Missed
 
 S = 10**9
 

@@ -6,11 +6,11 @@ import pytest
 from runtime.formats.logs import open_log
 from runtime.formats.mcap_log import McapChannel
 from runtime.formats.mcap_writer import McapWriter
+from runtime.formats.missing import Hole, Outage, account_of
 from runtime.messages import DiagnosticArray, DiagnosticStatus, KeyValue, LaserScan, encode, header
-from runtime.missing import Hole, Outage, account_of
-from runtime.recording import END_RECORD, STATUS_TOPIC, STATUS_TYPE
-from runtime.recording_info import describe
-from runtime.replay import Recorded, ReplayConfig
+from runtime.recordings.info import describe
+from runtime.recordings.recording import END_RECORD, STATUS_TOPIC, STATUS_TYPE
+from runtime.recordings.replay import Recorded, ReplayConfig
 from runtime.topics import TOPICS
 
 S = 10**9

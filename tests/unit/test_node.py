@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from runtime import messages
-from runtime.bus import Mailbox
-from runtime.bus_memory import MemoryBus
+from runtime.bus.contract import Mailbox
+from runtime.bus.memory import MemoryBus
 from runtime.clock import ManualClock
-from runtime.health import Health
 from runtime.messages import Attachment
-from runtime.node import BusPort
+from runtime.process.health import Health
+from runtime.process.node import BusPort
 from runtime.topics import topic
 
 
@@ -217,7 +217,7 @@ def test_work_longer_than_the_period_is_a_missed_deadline(bus, monkeypatch):
         subscription = port.subscribe("truth", raw=True)
         publisher = bus.publisher(key("truth"))
         now_ns = [0]
-        monkeypatch.setattr("runtime.inbox.time.monotonic_ns", lambda: now_ns[0])
+        monkeypatch.setattr("runtime.bus.inbox.time.monotonic_ns", lambda: now_ns[0])
         for work_ms in (50, 150, 99):
             now_ns[0] += 1
             publisher.put(b"x", b"")
@@ -230,7 +230,7 @@ def test_work_longer_than_the_period_is_a_missed_deadline(bus, monkeypatch):
 
 def test_how_long_messages_waited_to_be_taken_is_told(bus, monkeypatch):
     now_ns = [1]
-    monkeypatch.setattr("runtime.inbox.time.monotonic_ns", lambda: now_ns[0])
+    monkeypatch.setattr("runtime.bus.inbox.time.monotonic_ns", lambda: now_ns[0])
     with BusPort("matcher", bus.join, subscribes=("bumper", "truth")) as port:
         queued, newest = port.subscribe("bumper", raw=True), port.subscribe("truth", raw=True)
         publishers = bus.publisher(key("bumper")), bus.publisher(key("truth"))
@@ -248,7 +248,7 @@ def test_how_long_messages_waited_to_be_taken_is_told(bus, monkeypatch):
 
 def test_a_loop_that_turns_is_told_from_one_that_hangs(port, monkeypatch):
     now_s = [time.monotonic()]
-    monkeypatch.setattr("runtime.node.time.monotonic", lambda: now_s[0])
+    monkeypatch.setattr("runtime.process.node.time.monotonic", lambda: now_s[0])
     now_s[0] += 30.0
     assert float(port.counters()["loop_age_s"]) > 29
     port.turn()

@@ -7,8 +7,8 @@ import sys
 import textwrap
 from pathlib import Path
 
-from runtime.bus_memory import MemoryBus
-from runtime.node import BusPort
+from runtime.bus.memory import MemoryBus
+from runtime.process.node import BusPort
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -25,8 +25,8 @@ def test_asking_a_node_to_stop_takes_no_lock():
 def test_a_hail_of_signals_ends_a_node():
     program = """
         import signal
-        from runtime.bus_memory import MemoryBus
-        from runtime.node import BusPort
+        from runtime.bus.memory import MemoryBus
+        from runtime.process.node import BusPort
         port = BusPort("node", MemoryBus().join)
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: port.stop())

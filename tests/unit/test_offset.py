@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from runtime.bus_memory import MemoryBus
+from runtime.bus.memory import MemoryBus
+from runtime.bus.offset import Follower, Offset, measure, measured, tell_time
 from runtime.clock import ManualClock
-from runtime.offset import Follower, Offset, measure, measured, tell_time
 
 
 @given(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from runtime import picture
+from runtime.reports import picture
 
 RED, BLUE = np.array(picture.PATH), np.array(picture.HITS)
 

@@ -10,14 +10,14 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from runtime import recovery
 from runtime.formats.errors import FormatError
 from runtime.formats.logs import open_log
 from runtime.formats.mcap_log import McapChannel, McapReader
 from runtime.formats.mcap_writer import McapWriter, is_written
 from runtime.messages import LaserScan, decode, encode, header
-from runtime.recording import STATUS_TYPE, Recording, RecordingConfig
-from runtime.recovery import keep_ring, recover_cut, salvage
+from runtime.recordings import recovery
+from runtime.recordings.recording import STATUS_TYPE, Recording, RecordingConfig
+from runtime.recordings.recovery import keep_ring, recover_cut, salvage
 
 SCAN = McapChannel("/robot/scan", "sensor_msgs/msg/LaserScan", {"gid": "aa" * 16})
 S = 1_000_000_000

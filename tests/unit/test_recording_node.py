@@ -8,17 +8,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from runtime.bus_memory import MemoryBus
+from runtime.bus.memory import MemoryBus
 from runtime.clock import Clock
 from runtime.errors import ConfigError
 from runtime.formats.mcap_log import McapReader
-from runtime.identity import Identity, left_in
 from runtime.messages import decode
-from runtime.node import BusPort
 from runtime.nodes import recorder
 from runtime.nodes.keeping import RingKeeper, ask_to_keep
 from runtime.port import ListPort
-from runtime.recording import RecordingConfig
+from runtime.process.identity import Identity, left_in
+from runtime.process.node import BusPort
+from runtime.recordings.recording import RecordingConfig
 from runtime.topics import TOPICS
 
 PLENTY = RecordingConfig(min_free_mb=0.0)
@@ -241,7 +241,9 @@ def test_the_node_says_what_was_lost_in_its_report_and_exit_code(tmp_path, monke
 
 def test_the_node_says_why_it_records_nothing_any_more(tmp_path, monkeypatch):
     port = ListPort(run_dir=tmp_path)
-    monkeypatch.setattr("runtime.recording.shutil.disk_usage", lambda folder: SimpleNamespace(free=0))
+    monkeypatch.setattr(
+        "runtime.recordings.recording.shutil.disk_usage", lambda folder: SimpleNamespace(free=0)
+    )
     recorder.run(port, recorder.Config(file=str(tmp_path / "a.mcap")))
     assert port.reports[-1][:2] == ("error", "the disk was full: 0 messages not recorded")
 

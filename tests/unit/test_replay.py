@@ -3,20 +3,20 @@
 import numpy as np
 import pytest
 
-from runtime.bus_memory import MemoryBus
+from runtime.bus.memory import MemoryBus
 from runtime.cli import replay_map
 from runtime.cli.replay_keys import obey
 from runtime.errors import ConfigError
 from runtime.formats.mcap_log import McapChannel
 from runtime.formats.mcap_writer import McapWriter
 from runtime.formats.tum import write_tum
-from runtime.health import Health
 from runtime.messages import DiagnosticArray, DiagnosticStatus, LaserScan, encode, header, topic_key
-from runtime.node import BusPort
 from runtime.nodes import player
-from runtime.pace import Control
 from runtime.port import ListPort
-from runtime.replay import Recorded, ReplayConfig, in_name_of, play
+from runtime.process.health import Health
+from runtime.process.node import BusPort
+from runtime.recordings.pace import Control
+from runtime.recordings.replay import Recorded, ReplayConfig, in_name_of, play
 from runtime.topics import TOPICS
 
 S = 10**9

@@ -5,9 +5,18 @@ import numpy as np
 import pytest
 
 from processing.odometry import SHAKEN
-from runtime import chart
-from runtime.report import _COLOURS, DOUBTED, DOUBTED_M, STATES, ReportData, judged, page, write_report
-from runtime.report_tables import flat
+from runtime.reports import chart
+from runtime.reports.report import (
+    _COLOURS,
+    DOUBTED,
+    DOUBTED_M,
+    STATES,
+    ReportData,
+    judged,
+    page,
+    write_report,
+)
+from runtime.reports.tables import flat
 
 
 class Reader(html.parser.HTMLParser):
@@ -244,8 +253,8 @@ def test_a_single_lost_scan_of_a_long_run_is_seen():
 
 def test_a_run_that_was_live_has_its_page_made_of_its_files(tmp_path):
     from runtime.formats.map_server import GridMap
-    from runtime.report_folder import report_on
-    from runtime.results import RunResult, save
+    from runtime.reports.folder import report_on
+    from runtime.reports.results import RunResult, save
 
     folder = tmp_path / "run"
     data = run(50)

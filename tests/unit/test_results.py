@@ -11,7 +11,7 @@ from PIL import Image
 from runtime.errors import ConfigError
 from runtime.formats.map_server import GridMap, read_map
 from runtime.formats.tum import read_tum
-from runtime.results import (
+from runtime.reports.results import (
     RunResult,
     check_free,
     content_hash,

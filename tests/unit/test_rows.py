@@ -14,8 +14,8 @@ from runtime.nodes.rows import (
     ancestors_of,
     write_particles,
 )
-from runtime.report_folder import report_on
-from runtime.results import RunResult, save
+from runtime.reports.folder import report_on
+from runtime.reports.results import RunResult, save
 
 STAMPS_NS = 1_790_000_000_000_000_400 + 100_000_000 * np.arange(20)
 

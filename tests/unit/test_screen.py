@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from runtime.cli.screen import Screen
-from runtime.status import Status
+from runtime.process.status import Status
 
 HOPS = {"match": {"p50": 3.0, "p99": 8.0, "max": 9.0}}
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from runtime import cli, rundir, service
+from runtime import cli, rundir
 from runtime.errors import ConfigError, HallwayError
-from runtime.realtime import notify_init
+from runtime.process.realtime import notify_init
+from runtime.supervision import service
 
 
 def test_the_unit_starts_the_graph_and_watches_it(tmp_path):

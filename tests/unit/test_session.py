@@ -7,8 +7,7 @@ from runtime.formats.errors import FormatError
 from runtime.formats.logs import open_log
 from runtime.formats.mcap_log import McapChannel
 from runtime.formats.mcap_writer import McapWriter
-from runtime.messages import LaserScan, encode, header
-from runtime.session import (
+from runtime.formats.session import (
     FILE,
     FORMAT,
     RECORD,
@@ -19,6 +18,7 @@ from runtime.session import (
     read_session,
     scans_of,
 )
+from runtime.messages import LaserScan, encode, header
 
 HEAD = {"version": "1.2", "seed": "7"}
 PARTS = Parts(

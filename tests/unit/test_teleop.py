@@ -7,7 +7,7 @@ import pytest
 
 from drivers.create.operators import Intent
 from runtime import messages
-from runtime.bus_memory import MemoryBus
+from runtime.bus.memory import MemoryBus
 from runtime.cli.teleop import _Desk
 from runtime.clock import ManualClock
 from runtime.nodes import gamepad, keyboard, teleop

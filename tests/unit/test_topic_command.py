@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from runtime import messages
-from runtime.bus_memory import MemoryBus
+from runtime.bus.memory import MemoryBus
 from runtime.cli import main
 from runtime.clock import Clock
 from runtime.messages import Attachment
@@ -20,8 +20,8 @@ STRING = messages.TYPES.types["std_msgs/msg/String"]
 def bus(monkeypatch):
     """The bus that the command comes to."""
     session = MemoryBus()
-    monkeypatch.setattr("runtime.gate.visit", lambda robot: {})
-    monkeypatch.setattr("runtime.bus_zenoh.ZenohBus", lambda config: session.join())
+    monkeypatch.setattr("runtime.access.gate.visit", lambda robot: {})
+    monkeypatch.setattr("runtime.bus.zenoh_bus.ZenohBus", lambda config: session.join())
     return session
 
 

@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from runtime.child import State
 from runtime.cli import up
 from runtime.graph import NodeSpec
-from runtime.supervisor import Event
+from runtime.supervision.child import State
+from runtime.supervision.supervisor import Event
 
 MISSING = "exit code 3: /dev/ttyUSB0: no such port"
 

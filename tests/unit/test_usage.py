@@ -5,7 +5,7 @@ import subprocess
 import sys
 import time
 
-from runtime.usage import Usage
+from runtime.process.usage import Usage
 
 
 def test_a_process_that_works_is_seen_to_work_from_outside():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from runtime.formats.session import CutSessionError, Parts, SessionWriter
 from runtime.formats.tum import tum_lines
 from runtime.messages import LaserScan, encode, header
-from runtime.nodes.viewer_recording import draw, shown
-from runtime.nodes.viewer_session import cells_of
-from runtime.session import CutSessionError, Parts, SessionWriter
+from runtime.nodes.viewing.recording import draw, shown
+from runtime.nodes.viewing.session import cells_of
 
 # Rows from the top, as a picture has them: wall and unknown, then free and free.
 PICTURE = np.array(((0, 205), (254, 254)), dtype=np.uint8)

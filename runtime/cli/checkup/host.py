@@ -64,8 +64,8 @@ def disk(where: Path) -> Finding:
 
 def bus() -> Finding:
     """Open a hub and two peers on unix sockets, as a run does, and let messages go round."""
-    from runtime import links
-    from runtime.bus_zenoh import BusError, ZenohBus
+    from runtime.bus import links
+    from runtime.bus.zenoh_bus import BusError, ZenohBus
 
     needed = "round trip under 5 ms"
     try:
@@ -108,8 +108,9 @@ def bus() -> Finding:
 
 def robot(name: str) -> Finding | None:
     """Look whether the robot of this name can be reached; None if none runs here."""
-    from runtime import gate, rundir
-    from runtime.bus_zenoh import BusError, ZenohBus
+    from runtime import rundir
+    from runtime.access import gate
+    from runtime.bus.zenoh_bus import BusError, ZenohBus
 
     if not rundir.is_running(name):
         return None

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from runtime.picture import FREE, GUESSES, HITS, INK, PATH, START, TRUTH, round_step
+from runtime.reports.picture import FREE, GUESSES, HITS, INK, PATH, START, TRUTH, round_step
 
 _COLOURS = (PATH, GUESSES, HITS, START)
 _FINE = 2

@@ -15,7 +15,7 @@ from processing.scan import end_points
 from processing.se2 import Pose, transform
 from runtime.cli.study import curves
 from runtime.cli.study.drives import Drive, Followed
-from runtime.picture import FREE, HITS, INK, PATH, TRUTH, render
+from runtime.reports.picture import FREE, HITS, INK, PATH, TRUTH, render
 
 SIZE_PX = 900
 _EMPTY = np.full((1, 1), np.nan, dtype=np.float32)

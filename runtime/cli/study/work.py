@@ -6,7 +6,7 @@ from processing.odometry import OdometryConfig
 from processing.slam import SlamConfig
 from runtime.cli.study import drives, figures, stages
 from runtime.cli.study.drives import Drive, Followed
-from runtime.picture import png
+from runtime.reports.picture import png
 
 HURRY = 5
 """Of the hurried drive only every so many-th scan is seen."""

@@ -1,0 +1,1 @@
+"""Who may come to a robot from another machine: keys, certificates, and the door that they open."""

@@ -1,0 +1,1 @@
+"""What the viewer shows: from messages, recordings and sessions to a picture, and the program that shows it."""

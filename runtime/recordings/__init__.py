@@ -1,0 +1,1 @@
+"""Recordings of the bus: written, described, mended and played."""

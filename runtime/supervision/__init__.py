@@ -1,0 +1,1 @@
+"""The processes of a robot: started, watched, started again, stopped."""
