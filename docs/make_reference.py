@@ -31,6 +31,7 @@ Those that people need, if any:
 | `matcher.laser_in_base` | Nav2, or whoever else asks for `base_link`, shall find it in `tf` |
 | `matcher.odometry.prediction.acceleration`, `.turning` | the laser is thrown about by hand |
 | `mapper.mapping.particles` | the machine is slow, or the building is large and full of loops |
+| `hosts`, `host` of a process | it shall run on another machine: see the [tutorial](tutorial.md), 7 |
 | `viewer.mode`, `viewer.memory_mb` | the picture shall be a page, or use less memory |
 | `recorder.file`, `recorder.topics` | recordings shall go elsewhere, or hold less |
 """

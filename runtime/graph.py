@@ -8,7 +8,7 @@ import graphlib
 import importlib
 import pkgutil
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
@@ -19,6 +19,7 @@ from runtime.errors import ConfigError
 from runtime.topics import TOPICS
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*\Z")  # what ROS 2 takes as a node's name or namespace
+_HOST = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*\Z")
 _HOME = "runtime.nodes"
 RUN_PLACEHOLDER = "{run}"
 """In a node's configuration: the directory of this run, where emulators put their ports."""
@@ -50,6 +51,8 @@ class NodeSpec:
     """Time to become ready."""
     stop_s: float = 1.8
     """Time to end when asked; a node that has much to save may have more."""
+    host: str = ""
+    """The machine that it runs on, one of `hosts`; the robot's own if empty."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.priority <= 50:
@@ -74,6 +77,8 @@ class Graph:
     domain: int = 0
     """ROS domain, 0 .. 232."""
     seed: int = 1
+    hosts: tuple[str, ...] = ()
+    """Names of the machines that the processes run on, the robot's own first; empty for one machine."""
 
     def __post_init__(self) -> None:
         if not _NAME.match(self.robot):
@@ -84,13 +89,25 @@ class Graph:
             raise ValueError(f"seed = {self.seed}, must be in [0, 2^63)")
         if not self.nodes:
             raise ValueError("nodes: must name at least one process")
+        for host in self.hosts:
+            if not _HOST.match(host) or self.hosts.count(host) > 1:
+                raise ValueError(
+                    f"hosts: {host!r}, must be different names of machines: letters, digits, . _ -"
+                )
         for name, node in self.nodes.items():
+            if node.host:
+                place, what = f"nodes.{name}.host:", "machine, not among hosts"
+                configuration.refuse_unknown([node.host], self.hosts, place, what=what)
             if not _NAME.match(name) or name == "hub":
                 raise ValueError(f"nodes.{name}: a name must be lower-case letters, digits and underscores")
             configuration.refuse_unknown(
                 node.after, [n for n in self.nodes if n != name], f"nodes.{name}.after"
             )
         self.order()
+
+    def is_away(self, name: str) -> bool:
+        """Whether a process runs on another machine than the robot's own."""
+        return self.nodes[name].host not in ("", *self.hosts[:1])
 
     def order(self) -> list[str]:
         """Return the names so that each comes after those it waits for, and otherwise as written."""
@@ -165,15 +182,24 @@ def resolve(name: str, node: NodeSpec, where: str, run_dir: Path = Path("/run"))
     return Resolved(module, config, subscribes, publishes)
 
 
-def resolve_all(graph: Graph, where: str) -> dict[str, Resolved]:
-    """Resolve every node and check that no topic has two publishers; raises ConfigError."""
-    resolved = {name: resolve(name, node, where) for name, node in graph.nodes.items()}
+def resolve_all(graph: Graph, where: str, elsewhere: Collection[str] = ()) -> dict[str, Resolved]:
+    """Resolve every node that is not `elsewhere` and check who publishes what; raises ConfigError.
+
+    A topic has one publisher, and what devices say is said on the robot's own machine.
+    """
+    here = {name: node for name, node in graph.nodes.items() if name not in elsewhere}
+    resolved = {name: resolve(name, node, where) for name, node in here.items()}
     publishers: dict[str, str] = {}
     for name, node in resolved.items():
         for topic in node.publishes:
             first = publishers.setdefault(topic, name)
             if first != name and not TOPICS[topic].shared:
                 raise ConfigError(f"{where}: nodes.{name}: topic {topic!r} is published by {first!r} already")
+            if graph.is_away(name) and not TOPICS[topic].elsewhere:
+                raise ConfigError(
+                    f"{where}: nodes.{name}.host = {graph.nodes[name].host!r}: topic {topic!r} is published "
+                    f"on the robot's own machine alone, {graph.hosts[0]}"
+                )
     return resolved
 
 
@@ -215,11 +241,12 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="runtime.graph", description=main.__doc__)
     parser.add_argument("file", type=Path)
     parser.add_argument("--headless", action="store_true", help="leave out what needs a screen")
+    parser.add_argument("--elsewhere", nargs="*", default=[], help="processes that run on other machines")
     args = parser.parse_args(argv)
     try:
         graph = load(args.file)
         graph = graph.without_screen() if args.headless else graph
-        resolved = resolve_all(graph, str(args.file))
+        resolved = resolve_all(graph, str(args.file), args.elsewhere)
     except ConfigError as error:
         sys.stderr.write(f"{error}\n")
         return error.exit_code

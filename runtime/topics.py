@@ -44,6 +44,8 @@ class Topic:
     """Whether several processes may publish it."""
     recorded: bool = True
     urgency: Urgency = Urgency.DATA
+    elsewhere: bool = False
+    """Whether a process on another machine may publish it; devices speak on the robot's own."""
 
     @property
     def period_ns(self) -> int:
@@ -55,19 +57,34 @@ TOPICS: dict[str, Topic] = {
     topic.name: topic
     for topic in (
         Topic("scan", "sensor_msgs/msg/LaserScan", 10.0),
-        Topic("odom", "nav_msgs/msg/Odometry", 10.0, keep=64, urgency=Urgency.WHERE),
-        Topic("match_points", "sensor_msgs/msg/PointCloud2", 10.0, urgency=Urgency.DETAIL),
-        Topic("pose", "geometry_msgs/msg/PoseWithCovarianceStamped", 10.0, urgency=Urgency.WHERE),
-        Topic("map", "nav_msgs/msg/OccupancyGrid", 0.0, latched=True, urgency=Urgency.BULK),
-        Topic("map_updates", "map_msgs/msg/OccupancyGridUpdate", 0.0, keep=ALL, urgency=Urgency.BULK),
-        Topic("particles", "geometry_msgs/msg/PoseArray", 0.0, urgency=Urgency.DETAIL),
-        Topic("trajectory", "nav_msgs/msg/Path", 0.0, latched=True, urgency=Urgency.BULK),
-        Topic("tf", "tf2_msgs/msg/TFMessage", 20.0, keep=ALL, shared=True, urgency=Urgency.WHERE),
-        Topic("tf_static", "tf2_msgs/msg/TFMessage", 0.0, latched=True, urgency=Urgency.WHERE),
-        Topic("cmd_vel", "geometry_msgs/msg/TwistStamped", 0.0, urgency=Urgency.COMMAND),
+        Topic("odom", "nav_msgs/msg/Odometry", 10.0, keep=64, urgency=Urgency.WHERE, elsewhere=True),
+        Topic("match_points", "sensor_msgs/msg/PointCloud2", 10.0, urgency=Urgency.DETAIL, elsewhere=True),
+        Topic(
+            "pose", "geometry_msgs/msg/PoseWithCovarianceStamped", 10.0, urgency=Urgency.WHERE, elsewhere=True
+        ),
+        Topic("map", "nav_msgs/msg/OccupancyGrid", 0.0, latched=True, urgency=Urgency.BULK, elsewhere=True),
+        Topic(
+            "map_updates",
+            "map_msgs/msg/OccupancyGridUpdate",
+            0.0,
+            keep=ALL,
+            urgency=Urgency.BULK,
+            elsewhere=True,
+        ),
+        Topic("particles", "geometry_msgs/msg/PoseArray", 0.0, urgency=Urgency.DETAIL, elsewhere=True),
+        Topic("trajectory", "nav_msgs/msg/Path", 0.0, latched=True, urgency=Urgency.BULK, elsewhere=True),
+        Topic(
+            "tf", "tf2_msgs/msg/TFMessage", 20.0, keep=ALL, shared=True, urgency=Urgency.WHERE, elsewhere=True
+        ),
+        Topic(
+            "tf_static", "tf2_msgs/msg/TFMessage", 0.0, latched=True, urgency=Urgency.WHERE, elsewhere=True
+        ),
+        Topic("cmd_vel", "geometry_msgs/msg/TwistStamped", 0.0, urgency=Urgency.COMMAND, elsewhere=True),
         Topic("battery", "sensor_msgs/msg/BatteryState", 1.0),
         Topic("bumper", "std_msgs/msg/UInt8", 0.0, keep=ALL, urgency=Urgency.WHERE),
-        Topic("diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 1.0, keep=ALL, shared=True),
+        Topic(
+            "diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 1.0, keep=ALL, shared=True, elsewhere=True
+        ),
         Topic("truth", "geometry_msgs/msg/PoseStamped", 10.0),
         Topic("clock", "rosgraph_msgs/msg/Clock", 0.0, recorded=False),
     )

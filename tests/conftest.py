@@ -14,6 +14,7 @@ ROBOTS = {
         "create_stop",
         "demo",
         "docs",
+        "machines",
         "pages_walked",
         "paper_command",
         "remote",

@@ -3,7 +3,9 @@
 A drive maps itself until it is found; what it has seen on its last metres, laid together along its own path,
 is the question. End points name the places (branch and bound over everything), rays from several key scans
 judge between them. One place is believed when it is far better than all others and the next look says the
-same; where two are as good, both are named, and the question grows with the drive.
+same; where two are as good, both are named, and the question grows with the drive. A guess of somebody else
+is judged, too, and believed where nothing contradicts it: whoever goes on to new ground sees too little that
+is known for any place to be found.
 """
 
 from dataclasses import dataclass
@@ -55,6 +57,10 @@ LEAST_RAY = -1.8
 """Least mean log-likelihood of a ray that ends where the map knows something."""
 LEAST_KNOWN = 0.6
 """Share of the rays that must end there."""
+EXPECTED_KNOWN = 0.5
+"""The same at a place that was guessed, and"""
+EXPECTED_RAY = -1.2
+"""the least of those that end there: -0.2 to -0.8 where a guess is right, -2 and less 0.3 rad off."""
 STRANGE_RAY = -3.0
 """What a ray counts that ends where the map knows nothing."""
 JUDGES = 6
@@ -92,6 +98,7 @@ class Finder:
         self._glimpses: list[Glimpse] = []
         self._looked_at: Pose | None = None
         self._before: Pose | None = None
+        self._expected: Pose | None = None
         self.looks = 0
         """How often the map was searched."""
         self.equals = 0
@@ -100,13 +107,13 @@ class Finder:
         """What the last look found; a single place only when it was believed."""
 
     def expect(self, map_t_laser: Pose, here: Pose) -> None:
-        """Take somebody else's guess for a look: one that says the same is believed.
+        """Take somebody else's guess: for a place to be judged, and for a look, of which two must agree.
 
         Args:
             map_t_laser: (3,) the guess, on the map.
             here: (3,) the same place in the drive's own frame.
         """
-        self._before = se2.compose(map_t_laser, se2.invert(here))
+        self._before = self._expected = se2.compose(map_t_laser, se2.invert(here))
 
     def take(self, path: Pose, sweep: Sweep) -> Relocation:
         """Take the next key scan and look, if the laser has gone on since the last look.
@@ -135,6 +142,7 @@ class Finder:
             "counts": np.array([(len(one.points), len(one.rays)) for one in glimpses], int).reshape(-1, 2),
             "looked_at": none if self._looked_at is None else self._looked_at[None],
             "before": none if self._before is None else self._before[None],
+            "expected": none if self._expected is None else self._expected[None],
             "looks": np.array((self.looks, self.equals)),
             "places": np.array(self.found.places).reshape(-1, 3),
             "fits": np.array(self.found.fits, dtype=np.float64),
@@ -150,6 +158,7 @@ class Finder:
         ][: len(ends)]
         self._looked_at = next(iter(state["looked_at"].copy()), None)
         self._before = next(iter(state["before"].copy()), None)
+        self._expected = next(iter(state["expected"].copy()), None)
         self.looks, self.equals = state["looks"].tolist()
         self.found = Relocation(None, tuple(state["places"].copy()), tuple(state["fits"].tolist()))
 
@@ -179,12 +188,30 @@ class Finder:
         )
         search.go_on()
         chosen = np.unique(np.linspace(0, len(glimpses) - 1, JUDGES).round().astype(np.int64)).tolist()
+        seen = [(here[k], glimpses[k].rays) for k in chosen]
         judged = []
         for place in search.places:
             pose = polished(self._store, self._particle, place.map_t_points, query)
-            fit, known = self._judge(pose, [(here[k], glimpses[k].rays) for k in chosen])
-            judged.append((fit, known, place.score, pose))
-        return self._decide(judged, path[-1])
+            judged.append((*self._judge(pose, seen), place.score, pose))
+        return self._as_expected(judged, query, seen, path[-1]) or self._decide(judged, path[-1])
+
+    def _as_expected(
+        self,
+        judged: list[tuple[float, float, float, Pose]],
+        query: NDArray[np.float64],
+        seen: list[tuple[Pose, NDArray[np.float64]]],
+        here: Pose,
+    ) -> Relocation | None:
+        """Return the place that was guessed, if what is known there speaks for it and no other is as good."""
+        if self._expected is None:
+            return None
+        pose = polished(self._store, self._particle, se2.compose(self._expected, here), query)
+        fit, known = self._judge(pose, seen)
+        ray = (fit - (1.0 - known) * STRANGE_RAY) / max(known, 1e-9)
+        rivals = [other for other in judged if not _agree(other[3], pose)]
+        if known < EXPECTED_KNOWN or ray < EXPECTED_RAY or any(fit - other[0] < EQUAL for other in rivals):
+            return None
+        return Relocation(pose, (pose,), ())
 
     def _decide(self, judged: list[tuple[float, float, float, Pose]], here: Pose) -> Relocation:
         """Believe in one place, or name those that are as good."""
@@ -200,8 +227,7 @@ class Finder:
         self._before = se2.compose(places[0], se2.invert(here))
         if before is None:
             return Relocation(None, places, fits)
-        apart = np.abs(se2.between(se2.compose(before, here), places[0]))
-        return Relocation(places[0] if (apart < AGREE).all() else None, places, fits)
+        return Relocation(places[0] if _agree(se2.compose(before, here), places[0]) else None, places, fits)
 
     def _first(self, path: Pose) -> int:
         """Return the first key scan of the stretch that is asked for."""
@@ -222,6 +248,10 @@ class Finder:
             total += share * len(rays) * mean + (1.0 - share) * len(rays) * STRANGE_RAY
             count += len(rays)
         return total / max(count, 1), known / max(count, 1)
+
+
+def _agree(one: Pose, other: Pose) -> bool:
+    return bool((np.abs(se2.between(one, other)) < AGREE).all())
 
 
 def ground_of(store: TileStore, particle: int) -> NDArray[np.float64]:

@@ -31,7 +31,7 @@ class Relocation:
     places: tuple[Pose, ...]
     """Every place that fits: none, the one, or the two that cannot be told apart."""
     fits: tuple[float, ...]
-    """Share of the points that find their wall, of each place."""
+    """Share of the points that find their wall, of each place that the search named."""
 
 
 NOWHERE = Relocation(None, (), ())

@@ -11,11 +11,15 @@ from typing import Any
 from runtime import rundir
 from runtime.access.keys import Authority, Invitation, Role, common_name, paired
 from runtime.bus import links
+from runtime.bus.offset import question_key
+from runtime.topics import TOPICS
 
 BATCH_BYTES = 16_384
 """What waits for a slow link: two batches of each urgency, and what the socket holds; as little as does."""
 ROS_ROUTER = "tcp/localhost:7447"
 """Where the sessions of rmw_zenoh look for their router."""
+_ANSWERED_ELSEWHERE = ("map", "keep")
+"""Questions that a mapper and a recorder answer, wherever they run."""
 _READ = ["read_in", "read_out"]
 _ASKING = ["declare_subscriber", "query", "liveliness_query", "declare_liveliness_subscriber"]
 _ANSWERING = ["put", "delete", "reply", "declare_queryable", "liveliness_token"]
@@ -27,7 +31,7 @@ def door(
     """Return the hub's one door to the network: mutual TLS, and for each guest what its role allows.
 
     Everything is denied that no rule allows; a guest reads its robot's topics, an operator also sends
-    `cmd_vel`.
+    `cmd_vel`, a machine also what its processes of the robot's graph say.
 
     Args:
         host: Keys.
@@ -39,7 +43,8 @@ def door(
     subjects: list[dict[str, Any]] = [{"id": "local", "link_protocols": ["unixsock-stream"]}]
     policies: list[dict[str, Any]] = [{"rules": ["all"], "subjects": ["local"]}]
     drive = [*_READ, "drive_in", "drive_out"]
-    for role, rules in (("viewer", _READ), ("operator", drive)):
+    work = [*drive, "work_in", "work_out"]
+    for role, rules in (("viewer", _READ), ("operator", drive), ("machine", work)):
         names = [common_name(guest) for guest, theirs in roster.items() if theirs == role]
         if names:
             subjects.append({"id": role, "link_protocols": ["tls"], "cert_common_names": names})
@@ -72,6 +77,12 @@ def _rules(topics: str, domain: int, robot: str) -> list[dict[str, Any]]:
     # latched topics and the tokens of ROS are named one by one.
     readable = [f"{topics}/**", f"{topics}/**/@adv/**", f"@ros2_lv/{domain}/**", f"hallway/{robot}/**"]
     drivable = [f"{topics}/cmd_vel/**"]
+    said = [f"{topics}/{topic.name}/**" for topic in TOPICS.values() if topic.elsewhere]
+    workable = [
+        *(key for topic in said for key in (topic, f"{topic}/@adv/**")),
+        *(question_key(robot, question) for question in _ANSWERED_ELSEWHERE),
+        f"@ros2_lv/{domain}/**",
+    ]
 
     def rule(name: str, flows: list[str], key_exprs: list[str], messages: list[str]) -> dict[str, Any]:
         return {
@@ -89,6 +100,8 @@ def _rules(topics: str, domain: int, robot: str) -> list[dict[str, Any]]:
         rule("read_out", ["egress"], readable, _ANSWERING),
         rule("drive_in", ["ingress"], drivable, ["put"]),
         rule("drive_out", ["egress"], drivable, ["declare_subscriber"]),
+        rule("work_in", ["ingress"], workable, _ANSWERING),
+        rule("work_out", ["egress"], workable, _ASKING),
     ]
 
 
@@ -119,6 +132,22 @@ def guest(invitation: Invitation) -> dict[str, Any]:
     )
 
 
+def lead(invitation: Invitation) -> dict[str, Any]:
+    """Return what makes a router of another machine lead on to the robot, whether that is on yet or not."""
+    transport = guest(invitation)["transport"]
+    return {
+        "connect": {
+            "endpoints": [f"tls/{invitation.address}"],
+            "timeout_ms": -1,  # the robot may be off yet, or begin anew
+            "exit_on_failure": False,
+        },
+        "transport": {
+            "link": {key: transport["link"][key] for key in ("tx", "tls")},
+            "unicast": transport["unicast"],
+        },
+    }
+
+
 def ros_router(invitation: Invitation) -> dict[str, Any]:
     """Return the configuration of a ROS 2 machine's own router, `rmw_zenohd`, that leads on to the robot.
 
@@ -126,25 +155,20 @@ def ros_router(invitation: Invitation) -> dict[str, Any]:
     the guest's role allows. A session of each node by itself would do for a viewer, but the robot's hub
     carries nothing between two guests.
     """
-    transport = guest(invitation)["transport"]
+    led = lead(invitation)
     return {
         "mode": "router",
         # Not on all addresses, as rmw_zenohd does by default: whoever reaches it has the guest's rights.
         "listen": {"endpoints": [ROS_ROUTER]},
         "connect": {
-            "endpoints": [f"tls/{invitation.address}"],
-            "timeout_ms": -1,  # the robot may be off yet, or begin anew
-            "exit_on_failure": False,
+            **led["connect"],
             "retry": {"period_init_ms": 500, "period_max_ms": 4000, "period_increase_factor": 2},
         },
         "scouting": {"multicast": {"enabled": False}},
         # As in the configuration that rmw_zenoh ships: latched topics and slow services need them.
         "timestamping": {"enabled": True},
         "queries_default_timeout": 600_000,
-        "transport": {
-            "link": {key: transport["link"][key] for key in ("tx", "tls")},
-            "unicast": transport["unicast"],
-        },
+        "transport": led["transport"],
     }
 
 

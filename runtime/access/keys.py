@@ -13,14 +13,15 @@ import socket
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from runtime.access.certificates import Certificates
 from runtime.errors import ConfigError
 
 PORT = 7448
-ROLES = ("viewer", "operator")
-Role = Literal["viewer", "operator"]
+Role = Literal["viewer", "operator", "machine"]
+ROLES: tuple[Role, ...] = get_args(Role)
+"""Each may what those before it may: look; drive; run processes of the robot's graph."""
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,40}\Z")
 _VARIABLE = "HALLWAY_KEYS"
 

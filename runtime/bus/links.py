@@ -86,11 +86,11 @@ def visitor(run_dir: Path) -> dict[str, Any]:
 
 
 def hub(run_dir: Path, gate: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return the session of the hub; with a `gate` also for guests from outside."""
+    """Return the session of the hub; with a `gate` also for guests from outside, or on to another hub."""
     protocols = (LOCAL,) if gate is None else (LOCAL, "tls")
     listen = {"mode": "router", "listen": {"endpoints": [socket(run_dir, "hub")]}}
     inside = merged(merged(BASE, only(*protocols)), listen)
     if gate is None:
         return inside
-    endpoints = [*inside["listen"]["endpoints"], *gate["listen"]["endpoints"]]
+    endpoints = [*inside["listen"]["endpoints"], *gate.get("listen", {}).get("endpoints", [])]
     return merged(merged(inside, gate), {"listen": {"endpoints": endpoints}})

@@ -10,6 +10,7 @@ from runtime.clock import Clock
 
 _QUESTIONS = 20
 AGAIN_S = 60.0  # two quartzes part by some milliseconds in that time at most
+_SOON_S = 0.5  # while nobody answers; the robot may come later than we
 _STAMP = struct.Struct("<q")
 
 
@@ -87,5 +88,5 @@ class Follower:
         while True:
             if (offset := measured(self._bus, self._robot, self._clock)) is not None:
                 self._clock.offset_ns += offset.offset_ns
-            if self._closing.wait(AGAIN_S):
+            if self._closing.wait(AGAIN_S if offset else _SOON_S):
                 return

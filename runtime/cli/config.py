@@ -35,7 +35,8 @@ def run(args: argparse.Namespace) -> int:
     with uncompiled():
         resolved = graphs.resolve_all(graph, str(file))
     if args.action == "check":
-        print(f"{file}: {len(graph.nodes)} processes, good")
+        where = f" on {', '.join(graph.hosts)}" if graph.hosts else ""
+        print(f"{file}: {len(graph.nodes)} processes{where}, good")
         return 0
     print(_dumped(file, graph, resolved), end="")
     return 0

@@ -16,7 +16,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     invite = actions.add_parser("invite", help="on the robot: a file that lets one guest in")
     invite.add_argument("guest", help="name of the guest")
-    invite.add_argument("--role", choices=("viewer", "operator"), default="viewer", help="default viewer")
+    invite.add_argument(
+        "--role", choices=("viewer", "operator", "machine"), default="viewer", help="default viewer"
+    )
     invite.add_argument("--address", metavar="HOST[:PORT]", help="of the robot (default its first address)")
     invite.add_argument("--out", type=Path, metavar="FILE", help="default GUEST.invitation")
     revoke = actions.add_parser("revoke", help="on the robot: strike a guest off the list")

@@ -143,6 +143,7 @@ def _words(line: ProcessLine) -> str:
         "restarts": line.restarts,
     }
     said = line.text if line.level == "ok" and line.text != "running" else ""
-    parts = [] if line.state == "running" and said else [line.state]
+    state = f"{line.state} on {line.host}" if line.host else line.state
+    parts = [] if state == "running" and said else [state]
     parts += [f"{name} {count}" for name, count in counts.items() if count]
     return ", ".join(filter(None, (*parts, said)))

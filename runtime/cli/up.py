@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from runtime.graph import Graph
     from runtime.supervision.child import Child
+    from runtime.supervision.machines import Machine
     from runtime.supervision.run import Run
     from runtime.supervision.supervisor import Event
 
@@ -42,6 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--extend", action="store_true", help="with --on: map the drive onto the saved map")
     parser.add_argument("--robot", metavar="NAME", help="instead of the graph's")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the graph's")
+    parser.add_argument(
+        "--host", metavar="NAME", help="which machine of the graph this is (default its host name)"
+    )
     parser.add_argument(
         "--remote",
         nargs="?",
@@ -92,6 +96,7 @@ def _run(args: argparse.Namespace, file: Path) -> int:
     from runtime.config import to_yaml
     from runtime.errors import ConfigError
     from runtime.reports.results import check_free
+    from runtime.supervision import machines
     from runtime.supervision.run import Run
 
     if args.duration is not None and not args.duration > 0:
@@ -102,24 +107,32 @@ def _run(args: argparse.Namespace, file: Path) -> int:
         graph = replace(graph, **changes)
     except ValueError as error:
         raise ConfigError(f"--{error}") from error
-    remote = ""
-    if args.remote is not None:
-        if args.service is None:  # under sudo the keys would be looked for in another home
-            keys.authority(graph.robot)
-        remote = args.remote or f"0.0.0.0:{keys.PORT}"
     headless = args.headless or not _has_screen()
     if headless:
         graph = graph.without_screen()
-    resolved = _check(file, headless)
+    machine = machines.this_machine(graph, args.host)
+    if args.remote is not None and not machine.is_robot:
+        raise ConfigError(f"--remote: guests are let in on the robot's own machine, {machine.robots}")
+    remote = ""
+    if machine.is_robot and (args.remote is not None or machine.elsewhere):
+        remote = args.remote or f"0.0.0.0:{keys.PORT}"
+    if args.service is None:  # under sudo the keys would be looked for in another home
+        if remote:
+            keys.authority(graph.robot)
+        if not machine.is_robot:
+            machines.invitation(graph.robot, machine)
+    resolved = _check(file, headless, machine)
     if args.service is not None:
-        return _install(file, graph.robot, args)
+        return _install(file, graph.robot, args, machine)
     out = args.out or Path("results") / time.strftime("%Y%m%d-%H%M%S")
     check_free(out)
     with rundir.claimed(graph.robot) as run_dir, Screen(quiet=args.json) as screen:
         _empty(out)
         if headless and not args.headless:
             screen.say("no screen here: running as with --headless")
-        screen.say(f"{graph.robot}: {len(graph.nodes)} processes of {file.name}; results in {out}/")
+        screen.say(f"{graph.robot}: {len(resolved)} processes of {file.name}; results in {out}/")
+        if machine.elsewhere:
+            screen.say(f"expects {machine.expected()}")
         config = _resolved_config(graph, resolved)
         (run_dir / "config.yaml").write_text(to_yaml(config), encoding="utf-8")  # for the recorder
         live = Run(
@@ -128,6 +141,7 @@ def _run(args: argparse.Namespace, file: Path) -> int:
             run_dir,
             out,
             remote=remote,
+            machine=machine,
             open_bus=ZenohBus,
             on_event=lambda event: screen.say(
                 f"  {event.node}: {_in_short(live, event)}", ordinary=event.text in _ORDINARY
@@ -143,12 +157,15 @@ def _run(args: argparse.Namespace, file: Path) -> int:
     return code
 
 
-def _install(file: Path, robot: str, args: argparse.Namespace) -> int:
+def _install(file: Path, robot: str, args: argparse.Namespace, machine: "Machine") -> int:
     from runtime.supervision import service
 
     extra = [] if args.remote is None else ["--remote", *([args.remote] if args.remote else [])]
+    extra += [] if args.host is None else ["--host", args.host]
     folder = (args.out or Path("results")).absolute()
-    text = service.unit(file.absolute(), robot, folder.parent, service.owner(), extra)
+    text = service.unit(
+        file.absolute(), robot, folder.parent, service.owner(), extra, again=not machine.is_robot
+    )
     path = service.install(text, robot, Path(args.service))
     if args.enable:
         service.enable(path)
@@ -162,8 +179,8 @@ def _has_screen() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def _check(file: Path, headless: bool) -> dict[str, Any]:
-    """Check every node, in a process of its own: modules are heavy, this one stays light. Then compile."""
+def _check(file: Path, headless: bool, machine: "Machine") -> dict[str, Any]:
+    """Check every node here in a process of its own: modules are heavy, this one stays light. Then compile."""
     from runtime.cli.compiling import UNCOMPILED, compile_all
     from runtime.cli.patience import told
     from runtime.clock import Clock
@@ -173,6 +190,7 @@ def _check(file: Path, headless: bool) -> dict[str, Any]:
     command = [sys.executable, "-m", "runtime.graph", str(file)]
     if headless:
         command.append("--headless")
+    command += ["--elsewhere", *machine.elsewhere] if machine.elsewhere else []
     environment = child_environment(Clock())
     with told(_tell, "still loading the modules of the graph ..."):
         check = subprocess.run(command, capture_output=True, text=True, env={**environment, **UNCOMPILED})
@@ -217,6 +235,7 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
 
     before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     running_since: float | None = None
+    is_up = False
     notified = told = 0.0
     try:
         while not live.supervisor.over:
@@ -225,9 +244,11 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
             if now - notified > _NOTIFY_S:
                 notified = now
                 notify_init("WATCHDOG=1")
+            if not is_up and live.supervisor.all_here:
+                is_up = True  # for systemd, which would not wait for another machine
+                notify_init("READY=1")
             if running_since is None and live.supervisor.all_ready:
                 running_since = now
-                notify_init("READY=1")
                 screen.say(f"all processes run after {live.elapsed_s:.1f} s")
             over = duration_s is not None and running_since is not None and now - running_since > duration_s
             if (asked or over or live.supervisor.idle) and not live.supervisor.stopping:
@@ -249,8 +270,8 @@ def _in_short(live: "Run", event: "Event") -> str:
     """Return what happened, without the reason that ends the run: it is the last word, and said there."""
     from runtime.supervision.child import State
 
-    child = live.supervisor.children[event.node]
-    ends_all = child.state is State.FAILED and child.spec.required
+    child = live.supervisor.children.get(event.node)
+    ends_all = child is not None and child.state is State.FAILED and child.spec.required
     return "failed, and ends the run" if ends_all else event.text
 
 

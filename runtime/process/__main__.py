@@ -13,14 +13,17 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from runtime import graph
+from runtime import graph, messages
 from runtime.bus import links
 from runtime.bus.contract import Bus
+from runtime.bus.offset import Follower
+from runtime.clock import Clock
 from runtime.config import refuse_unknown
 from runtime.errors import exit_code_of
 from runtime.process import realtime
 from runtime.process.log_lines import log_to_stderr
 from runtime.process.node import BusPort
+from runtime.topics import topic
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -57,20 +60,32 @@ def _run(args: argparse.Namespace, log: logging.Logger) -> int:
     spec = loaded.nodes[args.name]
     aside = args.spare and not _is_called() and realtime.step_aside()
     resolved = graph.resolve(args.name, spec, str(args.graph), args.run_dir)
-    if args.spare and not sys.stdin.readline():
-        return 0  # nobody needs it any more
+    if args.spare:
+        for name in (*resolved.subscribes, *resolved.publishes, "diagnostics"):
+            messages.prepare(topic(name).type)
+        realtime.settle()
+        if not sys.stdin.readline():
+            return 0  # nobody needs it any more
     if aside:
         realtime.step_forward(0, like=os.getppid())
     realtime.schedule(log, priority=spec.priority, nice=spec.nice, cores=spec.cores)
 
+    clock, followers = Clock.from_environment(), list[Follower]()
+
     def open_bus() -> Bus:
         from runtime.bus.zenoh_bus import ZenohBus
 
-        return ZenohBus(links.peer(args.run_dir, args.name))
+        bus = ZenohBus(links.peer(args.run_dir, args.name))
+        # Scans have the robot's time. Whoever drives keeps his own: the base takes no stamp that went back,
+        # and finds the difference of the clocks itself.
+        if loaded.is_away(args.name) and "cmd_vel" not in resolved.publishes:
+            followers.append(Follower(bus, robot, clock))
+        return bus
 
     port = BusPort(
         args.name,
         open_bus,
+        clock=clock,
         subscribes=resolved.subscribes,
         publishes=resolved.publishes,
         robot=robot,
@@ -78,15 +93,20 @@ def _run(args: argparse.Namespace, log: logging.Logger) -> int:
         seed=loaded.seed if args.seed is None else args.seed,
         run_dir=args.run_dir,
         results_dir=args.results_dir,
+        guest=loaded.is_away(args.name),
     )
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: port.stop())
-    with port:
-        try:
-            return int(resolved.module.run(port, resolved.config))
-        except Exception as error:
-            port.report("error", str(error) or type(error).__name__)
-            raise
+    try:
+        with port:
+            try:
+                return int(resolved.module.run(port, resolved.config))
+            except Exception as error:
+                port.report("error", str(error) or type(error).__name__)
+                raise
+    finally:
+        for follower in followers:
+            follower.close()
 
 
 def _is_called() -> bool:

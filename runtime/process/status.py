@@ -10,6 +10,9 @@ from runtime.latency import HOPS
 from runtime.process.health import Vital, number_of
 
 SUPERVISOR = "supervisor"
+"""On the robot's own machine; on others with more behind it."""
+ELSEWHERE = "elsewhere"
+"""State of a process on another machine, as long as its own supervisor is not heard."""
 MATCHER, MAPPER, MONITOR = "matcher", "mapper", "monitor"
 _STALE_S = 3.0
 
@@ -34,6 +37,8 @@ class ProcessLine:
     deadline_misses: int
     queue_ms: float
     """Age of a message when it is taken, p99 of the last minute of the slowest subscription."""
+    host: str = ""
+    """Machine that it runs on; empty for the robot's own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +94,6 @@ class Status:
 def status_of(robot: str, vitals: Mapping[str, Vital], clock: Offset | None = None) -> Status:
     """Put the last words of all processes together, and how far its clock is from ours where we know it."""
     monitor, matcher = vitals.get(MONITOR), vitals.get(MATCHER)
-    supervisor = vitals.get(SUPERVISOR)
     return Status(
         robot=robot,
         tracking=_tracking(matcher),
@@ -98,7 +102,7 @@ def status_of(robot: str, vitals: Mapping[str, Vital], clock: Offset | None = No
         mapped=int(monitor.number("mapped")) if monitor else 0,
         rates_hz=_rates(monitor),
         hops_ms=_hops(vitals),
-        processes=tuple(_lines(vitals, supervisor)),
+        processes=tuple(_lines(vitals)),
         clock=clock,
     )
 
@@ -128,20 +132,24 @@ def _hops(vitals: Mapping[str, Vital]) -> dict[str, dict[str, float]]:
     return hops
 
 
-def _lines(vitals: Mapping[str, Vital], supervisor: Vital | None) -> list[ProcessLine]:
-    names = [key.split(".")[1] for key in supervisor.values if key.endswith(".state")] if supervisor else []
+def _lines(vitals: Mapping[str, Vital]) -> list[ProcessLine]:
+    supervisor = vitals.get(SUPERVISOR)
+    told = _told(vitals)
+    names = [key.split(".")[1] for key in told if key.endswith(".state")]
     guests = [name for name in vitals if name not in names]
     names += [name for name in guests if not _is_gone(vitals[name], supervisor)]
     lines: list[ProcessLine] = []
     for name in names:
         vital = vitals.get(name)
-        state = supervisor.values.get(f"child.{name}.state", "") if supervisor else ""
+        state, reason = told.get(f"child.{name}.state", ""), told.get(f"child.{name}.reason", "")
         level, text = (vital.level, vital.text) if vital else ("ok", "")
         if state in ("backoff", "failed"):
-            level, text = "error", supervisor.values.get(f"child.{name}.reason", "") if supervisor else ""
-        elif vital is not None and vital.age_s > _STALE_S and state in ("", "running"):
+            level, text = "error", reason
+        elif vital is not None and vital.age_s > _STALE_S and state in ("", "running", ELSEWHERE):
             level, text = "stale", f"not heard for {vital.age_s:.0f} s"
-        values = vital.values if vital else _seen_by(supervisor, name)
+        elif vital is None and state == ELSEWHERE:
+            level, text = "stale", "not heard yet"
+        values = vital.values if vital else _seen_by(told, name)
         ages = [number_of(values, key) for key in values if key.endswith(".queue_ms")]
         lines.append(
             ProcessLine(
@@ -150,23 +158,32 @@ def _lines(vitals: Mapping[str, Vital], supervisor: Vital | None) -> list[Proces
                 level=level,
                 text=text,
                 pid=int(number_of(values, "pid")),
-                restarts=int(supervisor.number(f"child.{name}.restarts")) if supervisor else 0,
+                restarts=int(number_of(told, f"child.{name}.restarts")),
                 cpu_percent=number_of(values, "cpu_percent"),
                 rss_mb=number_of(values, "rss_mb"),
                 lost=_sum(values, (".overwritten", ".missed", "scans_skipped")),
                 duplicates=_sum(values, (".duplicates",)),
                 deadline_misses=_sum(values, (".deadline_misses",)),
                 queue_ms=max(ages, default=0.0),
+                host=told.get(f"child.{name}.host", ""),
             )
         )
     return lines
 
 
-def _seen_by(supervisor: Vital | None, name: str) -> dict[str, str]:
-    """Return what the supervisor tells of a process that says nothing of itself, as the hub."""
+def _told(vitals: Mapping[str, Vital]) -> dict[str, str]:
+    """Return what the supervisors of all machines tell of their processes; that of the robot speaks first."""
+    told = dict(vitals[SUPERVISOR].values) if SUPERVISOR in vitals else {}
+    for name, vital in vitals.items():
+        if name.startswith(f"{SUPERVISOR}_") and not vital.has_left and vital.age_s <= _STALE_S:
+            told |= {key: value for key, value in vital.values.items() if key.startswith("child.")}
+    return told
+
+
+def _seen_by(told: Mapping[str, str], name: str) -> dict[str, str]:
+    """Return what a supervisor tells of a process that says nothing of itself, as the hub."""
     start = f"child.{name}."
-    values = supervisor.values if supervisor else {}
-    return {key.removeprefix(start): value for key, value in values.items() if key.startswith(start)}
+    return {key.removeprefix(start): value for key, value in told.items() if key.startswith(start)}
 
 
 def _is_gone(guest: Vital, supervisor: Vital | None) -> bool:

@@ -119,8 +119,9 @@ class Child:
         if self._process is None:
             return None
         if self.state is State.RUNNING:
-            # Not in the first seconds: what starts now needs the processor more.
-            if self.spec.spare and now - self.since > _SPARE_AFTER_S:
+            # At the start of a run not in the first seconds: all others start, too. After a blow at once:
+            # the next one would find nobody.
+            if self.spec.spare and (self.restarts or now - self.since > _SPARE_AFTER_S):
                 self._spare.keep()
             if now - self.since > _STEADY_S:
                 self._failures = 0

@@ -28,6 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="runtime.supervision.hub", description=__doc__)
     parser.add_argument("--run-dir", type=Path, required=True)
     parser.add_argument("--remote", metavar="ADDRESS:PORT", help="also listen here, for guests with keys")
+    parser.add_argument("--lead", action="store_true", help="lead on to the robot, paired with this machine")
     parser.add_argument("--robot", default="robot")
     parser.add_argument("--domain", type=int, default=0)
     args = parser.parse_args(argv)
@@ -46,6 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             door, listed = None, host.roster() if host else {}
             if host is not None:
                 door = gate.door(host, args.robot, args.domain, args.remote, listed)
+            elif args.lead and (invitation := keys.paired(args.robot)) is not None:
+                door = gate.lead(invitation)
             with ZenohBus(links.hub(args.run_dir, door)):
                 # In slices: a signal that another thread takes does not end a wait without end.
                 while not asked_to_stop and (host is None or not _has_changed(host, listed)):

@@ -20,10 +20,13 @@ from runtime.process.health import Health, Vital
 from runtime.process.identity import Identity, left_in, tell
 from runtime.process.log_lines import LogFormat
 from runtime.process.node import BusPort
-from runtime.process.status import SUPERVISOR, Status, status_of
+from runtime.process.status import ELSEWHERE, SUPERVISOR, Status, status_of
+from runtime.supervision.machines import Machine
 from runtime.supervision.supervisor import HUB, SILENT_S, Event, Supervisor, commands
 
 _REPORT_S = 1.0
+ENDS = "ends"
+"""Among the values of a supervisor: whether the run ends."""
 
 
 def log_to(file: Path) -> logging.Handler:
@@ -50,6 +53,7 @@ class Run:
         run_dir: Of this robot, claimed.
         results_dir: Folder of the results; each node writes into its own folder in it until `collect`.
         remote: `address:port` at which guests with keys are let in; nowhere if empty.
+        machine: This one; what runs elsewhere is not started here.
         open_bus: Opens a session of this run.
         on_event: Hears of everything that happens to a process.
     """
@@ -62,6 +66,7 @@ class Run:
         results_dir: Path,
         *,
         remote: str = "",
+        machine: Machine | None = None,
         open_bus: Callable[[dict[str, Any]], Bus],
         on_event: Callable[[Event], None] = lambda event: None,
     ) -> None:
@@ -70,22 +75,33 @@ class Run:
         Identity.of_run(graph.seed, graph.domain, self.clock.offset_ns).leave(run_dir)
         self.began = time.monotonic()
         self.events: list[Event] = []
+        self._machine = machine = machine or Machine()
+        self._name = SUPERVISOR + machine.mark
         self._tell = on_event
         self._open_bus = open_bus
         self._health: Health | None = None
         self._port: BusPort | None = None
         self._reported = 0.0
+        self._said_to_end = False
         logs = results_dir / "logs"
         logs.mkdir(parents=True, exist_ok=True)
         self._log = log_to(logs / f"{SUPERVISOR}.log")
         (run_dir / "logs").symlink_to(logs.absolute())
         self.supervisor = Supervisor(
             graph,
-            commands(graph, file.absolute(), run_dir, results_dir.absolute(), remote=remote),
+            commands(
+                graph,
+                file.absolute(),
+                run_dir,
+                results_dir.absolute(),
+                remote=remote,
+                lead=not machine.is_robot,
+            ),
             logs,
             self.clock,
             self._note,
             self._forget,
+            machine.elsewhere,
         )
 
     @property
@@ -104,9 +120,13 @@ class Run:
             ready |= self._health.ready()
             silent = self._health.silent(SILENT_S)
         self.supervisor.step(ready, silent)
+        if self._robot_ends() and not self.supervisor.stopping:
+            self._note(Event(self.clock.now_ns(), self._name, "the robot has ended, and this part with it"))
+            self.supervisor.stop()
         if self._port is not None:
             self._port.turn()
-            if time.monotonic() - self._reported > _REPORT_S:
+            ending = self.supervisor.stopping and not self._said_to_end
+            if ending or time.monotonic() - self._reported > _REPORT_S:
                 self._report(self._port)
 
     def status(self) -> Status:
@@ -137,29 +157,38 @@ class Run:
         }
 
     def _join(self) -> None:
-        config = links.peer(self.run_dir, SUPERVISOR)
+        config = links.peer(self.run_dir, self._name)
         bus = self._open_bus(config)
         self._port = BusPort(
-            SUPERVISOR, lambda: bus, robot=self.graph.robot, domain=self.graph.domain, clock=self.clock
+            self._name, lambda: bus, robot=self.graph.robot, domain=self.graph.domain, clock=self.clock
         )
         self._health = Health(bus, self.graph.robot, self.graph.domain)
-        tell_time(bus, self.graph.robot, self.clock)
-        tell(bus, self.graph.robot, left_in(self.run_dir))
+        if self._machine.is_robot:
+            tell_time(bus, self.graph.robot, self.clock)
+            tell(bus, self.graph.robot, left_in(self.run_dir))
         self._port.ready()
 
     def _report(self, port: BusPort) -> None:
         self._reported = time.monotonic()
+        self._said_to_end = self.supervisor.stopping
         values: dict[str, object] = {}
         children = self.supervisor.children.values()
         for child in children:
-            values[f"child.{child.name}.state"] = child.state.value
-            values[f"child.{child.name}.restarts"] = child.restarts
+            # There is a hub on each machine, and every other process once.
+            place = f"child.{child.name}" + self._machine.mark * (child.name == HUB)
+            values[f"{place}.state"] = child.state.value
+            values[f"{place}.restarts"] = child.restarts
+            if not self._machine.is_robot:
+                values[f"{place}.host"] = self._machine.name
             if child.reasons:
-                values[f"child.{child.name}.reason"] = child.reasons[-1]
-        hub = self.supervisor.children.get(HUB)
-        if hub is not None and hub.pid is not None:  # every other process speaks for itself
-            seen = {"pid": hub.pid, **hub.usage()}
-            values |= {f"child.{HUB}.{name}": value for name, value in seen.items()}
+                values[f"{place}.reason"] = child.reasons[-1]
+            if child.name == HUB and child.pid is not None:  # every other process speaks for itself
+                seen = {"pid": child.pid, **child.usage()}
+                values |= {f"{place}.{name}": value for name, value in seen.items()}
+        if self._machine.is_robot:
+            for name, host in self._machine.elsewhere.items():
+                values |= {f"child.{name}.state": ELSEWHERE, f"child.{name}.host": host}
+        values[ENDS] = int(self.supervisor.stopping)
         step_ms = self.clock.wall_step_ns() / 1e6
         values["wall_clock_step_ms"] = f"{step_ms:.1f}"
         down = [c.name for c in children if c.state.value in ("backoff", "failed")]
@@ -169,6 +198,13 @@ class Run:
             port.report("warn", f"the wall clock has stepped by {step_ms:.0f} ms; stamps did not", **values)
         else:
             port.report("ok", "stopping" if self.supervisor.stopping else "running", **values)
+        if self.supervisor.stopping:
+            port.beat()  # now: once the hub has ended, no other machine hears it
+
+    def _robot_ends(self) -> bool:
+        """Whether the robot, on another machine, ends or has ended."""
+        robot = None if self._machine.is_robot else self._vitals().get(SUPERVISOR)
+        return robot is not None and (robot.has_left or robot.number(ENDS) > 0)
 
     def _vitals(self) -> Mapping[str, Vital]:
         return self._health.vitals() if self._health is not None else {}

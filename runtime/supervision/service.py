@@ -36,7 +36,7 @@ Environment={run_variable}={run_dir}
 RuntimeDirectory={run_name}
 RuntimeDirectoryMode=0700
 # 2: a wrong configuration; trying again does not help.
-Restart=on-failure
+Restart={restart}
 RestartSec=2
 RestartPreventExitStatus=2
 SuccessExitStatus=130
@@ -54,7 +54,7 @@ WantedBy=multi-user.target
 """
 
 
-def unit(graph: Path, robot: str, results: Path, user: str, extra: list[str]) -> str:
+def unit(graph: Path, robot: str, results: Path, user: str, extra: list[str], *, again: bool = False) -> str:
     """Return the unit's text.
 
     Args:
@@ -63,6 +63,7 @@ def unit(graph: Path, robot: str, results: Path, user: str, extra: list[str]) ->
         results: Folder in which every start makes one of its own.
         user: Under whom it runs; owns `results` and belongs to the groups of the serial ports.
         extra: More arguments of `hallway up`.
+        again: Whether it starts again when it has ended well, as with a robot on another machine.
 
     Raises:
         ConfigError: The user is root, or something has a character that a unit cannot hold.
@@ -82,6 +83,7 @@ def unit(graph: Path, robot: str, results: Path, user: str, extra: list[str]) ->
         run_name=rundir.boot_name(robot),
         command=shlex.join(words),
         folder=results,
+        restart="always" if again else "on-failure",
         user=user,
     )
 

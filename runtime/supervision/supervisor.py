@@ -44,7 +44,7 @@ class Supervisor:
         graph: What to run. commands: The command line of each node, and of the hub. logs: Folder for one
         log a process. clock: Of this run; handed to every process. on_event: Hears of everything that
         happens. forget: Is told the name of a process that starts, so that its predecessor's signs of life
-        do not count.
+        do not count. elsewhere: Processes of the graph that run on other machines: waited for, and no more.
     """
 
     def __init__(
@@ -55,17 +55,19 @@ class Supervisor:
         clock: Clock,
         on_event: Callable[[Event], None] = lambda event: None,
         forget: Callable[[str], None] = lambda name: None,
+        elsewhere: Collection[str] = (),
     ) -> None:
         self._clock, self._on_event, self._forget = clock, on_event, forget
         environment = child_environment(clock)
         logs.mkdir(parents=True, exist_ok=True)
-        specs = {name: graph.nodes[name] for name in graph.order()}
+        specs = {name: graph.nodes[name] for name in graph.order() if name not in elsewhere}
         if HUB in commands:
             specs = {HUB: NodeSpec(module="runtime.supervision.hub", restart="always"), **specs}
         self.children = {
             name: Child(name, spec, commands[name], logs / f"{name}.log", environment)
             for name, spec in specs.items()
         }
+        self._met: set[str] = set()
         self.stopping = False
         self._stop_began = 0.0
         self._rotated = 0.0
@@ -76,6 +78,19 @@ class Supervisor:
     def all_ready(self) -> bool:
         """Whether every process is up, or has done its work."""
         return all(child.state in (State.RUNNING, State.ENDED) for child in self.children.values())
+
+    @property
+    def all_here(self) -> bool:
+        """Whether every process is up but those that wait, directly or not, for another machine."""
+        far: set[str] = set()
+        for child in self.children.values():  # each comes after those it waits for
+            unmet = [name for name in child.spec.after if name not in self.children and name not in self._met]
+            if child.state is State.WAITING and (unmet or far.intersection(child.spec.after)):
+                far.add(child.name)
+        return all(
+            child.state in (State.RUNNING, State.ENDED) or child.name in far
+            for child in self.children.values()
+        )
 
     @property
     def over(self) -> bool:
@@ -103,13 +118,14 @@ class Supervisor:
             ready: Names of the processes that say they are ready.
             silent: Names of the processes that have not been heard of for too long.
         """
+        self._met |= set(ready) - self.children.keys()
         for child in self.children.values():
             if child.state is State.STARTING and child.name in ready:
                 child.ready()
                 self._tell(child, "ready")
             elif child.name in silent and child.state is State.RUNNING and child.age_s > SILENT_S:
                 self._tell(child, child.kill("does not speak any more"))
-            if (happened := child.poll()) is not None:
+            while (happened := child.poll()) is not None:  # one that was buried may start in the same turn
                 if child.state is State.STARTING:
                     self._forget(child.name)
                 self._tell(child, happened)
@@ -142,9 +158,11 @@ class Supervisor:
         hub = self.children.get(HUB)
         if hub is not None and child is not hub and hub.state is not State.RUNNING:
             return False
-        return all(
-            self.children[name].was_ready or self.children[name].state in _DONE for name in child.spec.after
-        )
+        return all(self._was_ready(name) for name in child.spec.after)
+
+    def _was_ready(self, name: str) -> bool:
+        child = self.children.get(name)
+        return name in self._met if child is None else child.was_ready or child.state in _DONE
 
     def _press(self) -> None:
         """Ask everything to end, whoever listens before whoever speaks; then insist."""
@@ -173,12 +191,23 @@ def commands(
     results_dir: Path,
     *,
     remote: str = "",
+    lead: bool = False,
     python: str = sys.executable,
 ) -> dict[str, list[str]]:
-    """Return the command line of the hub and of every node; each node has its own folder of the results."""
+    """Return the command line of the hub and of every node; each node has its own folder of the results.
+
+    Args:
+        graph: What runs.
+        file: Where it was read from.
+        run_dir: Of the robot's sockets.
+        results_dir: Holds a folder for each node.
+        remote: `address:port` at which the hub lets guests in; nowhere if empty.
+        lead: Whether the hub leads on to the robot's, on another machine.
+        python: The interpreter.
+    """
     lines = {HUB: [python, "-m", "runtime.supervision.hub", "--run-dir", str(run_dir)]}
-    if remote:
-        lines[HUB] += ["--remote", remote, "--robot", graph.robot, "--domain", str(graph.domain)]
+    lines[HUB] += ["--robot", graph.robot, "--domain", str(graph.domain)]
+    lines[HUB] += ["--remote", remote] * bool(remote) + ["--lead"] * lead
     for name in graph.nodes:
         lines[name] = [
             *(python, "-m", "runtime.process", name, "--graph", str(file), "--run-dir", str(run_dir)),

@@ -71,6 +71,14 @@ def be_systemd(desk):
     (desk / "bin" / "systemctl").symlink_to("/bin/true")
 
 
+def split(desk):
+    """Somebody names two machines, and which processes the second has."""
+    text = (desk / "mine.yaml").read_text().replace("nodes:\n", "hosts: [pi, desk]\nnodes:\n")
+    for name in ("mapper", "matcher"):
+        text = text.replace(f"module: {name},", f"module: {name}, host: desk,")
+    (desk / "split.yaml").write_text(text)
+
+
 def paint(desk):
     """Somebody paints a wall, and a mask beside it."""
     picture = np.asarray(Image.open(desk / "results" / "day1" / "map.pgm")).copy()
@@ -98,6 +106,15 @@ BEFORE = (
     Call("up onboard --remote", 3, "no such port", ("--headless",)),
     Call("keys pair laptop.invitation", 0, ""),
     Call("keys ros laptop.invitation", 0, "ZENOH_ROUTER_CONFIG_URI"),
+    Call("keys invite desk --role machine", 0, "desk.invitation"),
+    Call("up split.yaml --host pi", 3, "expects mapper, matcher from desk", ("--headless",), first=split),
+    Call("keys pair desk.invitation", 0, "as machine"),
+    Call(
+        "up split.yaml --host desk",
+        0,
+        "expects monitor, laser, base, recorder, pretrigger from pi",
+        ("--headless", "--duration", "1"),
+    ),
     Call(
         "view --connect 192.168.7.20", 1, "cannot be reached", ("--connect", "127.0.0.1", "--save", "far.rrd")
     ),

@@ -35,7 +35,7 @@ STUBBORN = (
 class Scene:
     """A supervisor over one-line programs; the test says who is ready."""
 
-    def __init__(self, folder, programs, **specs):
+    def __init__(self, folder, programs, elsewhere=(), **specs):
         self.logs = folder / "logs"
         self.events = []
         self.forgotten = []
@@ -48,6 +48,7 @@ class Scene:
             self.clock,
             lambda event: self.events.append((event.node, event.text)),
             self.forgotten.append,
+            elsewhere,
         )
         self.children = self.supervisor.children
         self.ready, self.silent = set(), set()
@@ -74,8 +75,8 @@ class Scene:
 def scene(tmp_path):
     made = []
 
-    def make(programs, **specs):
-        made.append(Scene(tmp_path, programs, **specs))
+    def make(programs, **how):
+        made.append(Scene(tmp_path, programs, **how))
         return made[-1]
 
     yield make
@@ -102,6 +103,26 @@ def test_a_node_starts_when_those_before_it_are_ready(scene):
     assert not stage.supervisor.all_ready
     stage.ready = {"a", "b"}
     stage.until(lambda: stage.supervisor.all_ready)
+
+
+def test_what_runs_elsewhere_is_waited_for_once_and_neither_started_nor_missed(scene):
+    after = {"b": NodeSpec(module="m", after=("a",)), "c": NodeSpec(module="m", after=("b",))}
+    stage = scene(dict.fromkeys("cbad", SLEEPS), elsewhere=("a",), **after)
+    assert set(stage.children) == {"b", "c", "d"}
+    stage.supervisor.step(set())
+    assert (stage.state("b"), stage.state("c")) == (State.WAITING, State.WAITING)
+    assert not stage.supervisor.all_here
+    stage.ready = {"d"}
+    stage.until(lambda: stage.supervisor.all_here)  # the robot is up, and waits for another machine
+    assert not stage.supervisor.all_ready
+    stage.ready = {"a", "d"}
+    stage.until(lambda: stage.state("b") is State.STARTING)
+    assert not stage.supervisor.all_here
+    stage.ready, stage.silent = {"b", "c", "d"}, {"a"}
+    stage.until(lambda: stage.supervisor.all_ready)
+    assert stage.supervisor.all_here
+    stage.children["b"].signal(signal.SIGKILL)
+    stage.until(lambda: stage.state("b") is State.RUNNING)  # though the other is away now
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGSTOP])
@@ -227,6 +248,24 @@ def test_a_spare_process_takes_over_and_another_stands_by_for_it(scene, monkeypa
     stage.supervisor.stop()
     stage.until(lambda: stage.supervisor.over)
     assert not alive(last)
+
+
+def test_after_a_blow_the_next_one_starts_in_the_same_turn_and_another_stands_by_at_once(scene):
+    stage = scene({"a": SPARE}, a=NodeSpec(module="m", spare=True))
+    child = stage.children["a"]
+    stage.until(lambda: stage.wrote("a", "works\n"))
+    stage.ready = {"a"}
+    stage.until(lambda: stage.state("a") is State.RUNNING)
+    assert child._spare.pid is None  # when a run begins all others start, too
+    stage.ready = set()
+    os.kill(child.pid, signal.SIGKILL)
+    child._process.wait()
+    stage.supervisor.step(set())
+    assert stage.state("a") is State.STARTING
+    assert stage.said("a")[-2:] == ["killed by SIGKILL; starts again in 0 s", "starts again"]
+    stage.supervisor.step({"a"})
+    stage.supervisor.step({"a"})
+    assert child._spare.pid is not None
 
 
 def test_a_spare_process_that_is_dead_or_frozen_is_replaced_by_a_fresh_one(scene, monkeypatch):

@@ -28,8 +28,11 @@ def fixture_chaos():
     return bench("runtime_chaos")
 
 
-def soaked(mb_per_h, files=30, known=1000, ways_ms=(10.0,) * 36_000):
-    """An hour: what the mapper takes, its files and its map at the end, and every scan's way."""
+ON_NEW_GROUND = (20.0,) * 6000 + (40.0,) * 30_000
+
+
+def soaked(mb_per_h, files=30, known=1000, ways_ms=(10.0,) * 36_000, complete=0):
+    """An hour: what the mapper takes, its files and map at the end, each way, and when the map was whole."""
     samples = [
         (
             t,
@@ -38,7 +41,7 @@ def soaked(mb_per_h, files=30, known=1000, ways_ms=(10.0,) * 36_000):
         )
         for t in range(0, 3600, 10)
     ]
-    return SimpleNamespace(samples=samples, ways_ms=list(ways_ms))
+    return SimpleNamespace(samples=samples, ways_ms=list(ways_ms), complete=complete)
 
 
 @pytest.mark.parametrize(
@@ -52,6 +55,9 @@ def soaked(mb_per_h, files=30, known=1000, ways_ms=(10.0,) * 36_000):
         ({"mb_per_h": 0.0, "ways_ms": np.linspace(40, 50, 36_000)}, 1.0, "p99 1.22 times"),
         ({"mb_per_h": 0.0, "ways_ms": np.linspace(40, 43, 36_000)}, 1.0, None),
         ({"mb_per_h": 0.0, "ways_ms": np.linspace(40, 80, 900)}, 1.0, None),  # too few to tell
+        ({"mb_per_h": 0.0, "ways_ms": ON_NEW_GROUND}, 1.0, "p99 2.00 times"),
+        ({"mb_per_h": 0.0, "ways_ms": ON_NEW_GROUND, "complete": 6000}, 1.0, None),
+        ({"mb_per_h": 0.0, "complete": 36_000}, 1.0, None),  # it grew to the end
     ],
 )
 def test_an_hour_is_at_fault_if_memory_files_or_latency_grow(soak, capsys, hour, speed, fault):

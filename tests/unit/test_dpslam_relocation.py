@@ -177,3 +177,34 @@ def test_a_search_survives_a_restart(mapped):
         assert np.array_equal(one.particles, other.particles)
         assert one.lost == other.lost
     assert not one.lost
+
+
+@pytest.fixture(scope="module")
+def on_its_way():
+    """A map of 300 scans, where the way goes on to new ground, and the pose at its end."""
+    slam = DpSlam(CONFIG, 1)
+    course = list(drive(demo_building(), 300))
+    for scan, motion, _ in course:
+        slam.step(scan, motion)
+    return slam, course[-1][2]
+
+
+@pytest.mark.parametrize(("turned_rad", "found"), [(0.0, True), (1.0, False)])
+def test_on_the_way_to_new_ground_a_guess_is_believed_unless_what_is_known_contradicts_it(
+    on_its_way, turned_rad, found
+):
+    slam, end = on_its_way
+    robot = DpSlam.from_state(slam.state(), CONFIG)
+    written = robot.population.keys
+    # Some seconds of nothing, and then the place from which the odometry goes on.
+    gap = list(itertools.islice(drive(demo_building(), 335), 300, None))
+    for scan, motion, pose in gap:
+        covariance = anew_covariance() if scan is gap[-1][0] else lost_covariance()
+        odom = se2.compose(end, se2.compose((0.0, 0.0, turned_rad), se2.between(end, pose)))
+        step = robot.step(scan, moved(motion, odom, covariance))
+    assert step.lost is not found
+    assert robot.population.keys == written + found
+    if found:
+        distance, turn = off(step.map_t_laser, pose)
+        assert distance < 0.15
+        assert turn < 0.05

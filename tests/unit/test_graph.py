@@ -1,5 +1,6 @@
 """A graph is checked in full before anything starts, and every mistake is one line."""
 
+import json
 import sys
 import textwrap
 
@@ -88,6 +89,13 @@ def test_a_good_graph_is_resolved(modules):
         ("nodes: {a: {module: m, start_s: 0}}", "start_s = 0.0, must be in (0, 600]"),
         ("nodes: {a: {module: m, stop_s: 0}}", "stop_s = 0.0, must be in (0, 600]"),
         (
+            "hosts: [pi, desk]\nnodes: {a: {module: m, host: dsk}}",
+            "nodes.a.host: dsk: unknown machine, not among hosts; did you mean 'desk'?",
+        ),
+        ("nodes: {a: {module: m, host: desk}}", "desk: unknown machine, not among hosts; known: none"),
+        ("hosts: [pi, pi]\nnodes: {a: {module: m}}", "hosts: 'pi', must be different names of machines"),
+        ("hosts: ['my desk']\nnodes: {a: {module: m}}", "hosts: 'my desk', must be different names"),
+        (
             "nodes: {mapper: {module: m}, b: {module: m, after: [maper]}}",
             "after.maper: unknown key; did you mean",
         ),
@@ -138,6 +146,26 @@ def test_a_shared_topic_may_have_two_publishers(modules):
         (modules / "graph_nodes" / "mind.py").read_text().replace("('odom', 'tf')", "('tf',)")
     )
     assert len(check(modules, "nodes: {a: {module: graph_nodes.mind}, b: {module: graph_nodes.soul}}")) == 2
+
+
+SPLIT = "hosts: [pi, desk]\nnodes: {{eye: {{module: graph_nodes.eye{}}}, mind: {{module: {}, host: desk}}}}"
+
+
+def test_what_devices_say_is_said_on_the_robot_s_own_machine(modules):
+    assert len(check(modules, SPLIT.format(", host: pi", "graph_nodes.mind"))) == 2
+    with pytest.raises(ConfigError) as caught:
+        check(modules, SPLIT.format(", host: desk", "graph_nodes.mind"))
+    assert "nodes.eye.host = 'desk': topic 'scan' is published on the robot's own machine alone, pi" in str(
+        caught.value
+    )
+
+
+def test_what_runs_elsewhere_needs_no_library_here(modules, capsys):
+    file = written(modules, SPLIT.format("", "graph_nodes.poor"))
+    assert graph.main([str(file)]) == 2
+    assert "nodes.mind.module" in capsys.readouterr().err
+    assert graph.main([str(file), "--elsewhere", "mind"]) == 0
+    assert list(json.loads(capsys.readouterr().out)) == ["eye"]
 
 
 def test_nodes_start_after_those_they_wait_for_and_otherwise_as_written(tmp_path):

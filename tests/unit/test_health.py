@@ -1,12 +1,15 @@
 """What processes say of themselves becomes one picture, and no foreign word can grow or break it."""
 
+import io
 import time
 
 import pytest
+from rich.console import Console
 
 from runtime import messages
 from runtime.bus.memory import MemoryBus
 from runtime.bus.offset import Offset
+from runtime.cli.screen import table
 from runtime.messages import Attachment
 from runtime.process.health import Health
 from runtime.process.node import BusPort
@@ -174,6 +177,28 @@ def test_a_guest_that_left_is_no_fault_and_a_silent_process_of_the_run_is_one(bu
     assert [line.level for line in lines.values()] == ["stale", "stale"]
 
 
+def test_what_runs_on_another_machine_is_in_the_list_whether_that_is_heard_or_not(bus, health, monkeypatch):
+    expected = {"child.matcher.state": "elsewhere", "child.matcher.host": "desk"}
+    say(bus, "robot/supervisor", **{"child.hub.state": "running", "child.hub.pid": 4, **expected})
+    line = lines_of(health)["matcher"]
+    assert (line.level, line.text, line.state, line.host) == ("stale", "not heard yet", "elsewhere", "desk")
+    theirs = {"child.matcher.state": "running", "child.matcher.restarts": 2, "child.matcher.host": "desk"}
+    hub = {"child.hub_desk.state": "running", "child.hub_desk.pid": 7, "child.hub_desk.host": "desk"}
+    say(bus, "robot/supervisor_desk", **theirs, **hub)
+    say(bus, "robot/matcher", 0, "tracking", state="TRACKING")
+    lines = lines_of(health)
+    line = lines["matcher"]
+    assert (line.level, line.restarts, line.state, line.host) == ("ok", 2, "running", "desk")
+    assert [(lines[name].pid, lines[name].host) for name in ("hub", "hub_desk")] == [(4, ""), (7, "desk")]
+    console = Console(record=True, width=200, file=io.StringIO())
+    console.print(table(status_of("robot", health.vitals()), 5.0))
+    assert "running on desk" in console.export_text()
+    later(monkeypatch, 10.0)
+    say(bus, "robot/supervisor", **{"child.hub.state": "running", "child.hub.pid": 4, **expected})
+    line = lines_of(health)["matcher"]
+    assert (line.level, line.state, line.host) == ("stale", "elsewhere", "desk")
+
+
 def test_without_a_supervisor_silence_is_a_fault_of_everybody(bus, health, monkeypatch):
     say(bus, "robot/laser", 0, "scanning")
     later(monkeypatch, 10.0)
@@ -191,6 +216,10 @@ def test_whoever_left_gives_way_to_whoever_comes(bus, health):
         say(bus, f"robot/view_{number}", leaving=1)
     say(bus, "robot/laser", 0, "scanning")
     assert list(health.vitals()) == ["laser"]
+
+
+def lines_of(health):
+    return {line.name: line for line in status_of("robot", health.vitals()).processes}
 
 
 def names(health):

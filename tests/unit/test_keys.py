@@ -86,15 +86,27 @@ def test_the_door_denies_what_no_rule_allows_and_names_each_guest(home):
     host = keys.make("robot")
     keys.invite("robot", "anna", "viewer", "h")
     keys.invite("robot", "olga", "operator", "h")
+    keys.invite("robot", "desk", "machine", "h")
     door = gate.door(host, "robot", 7, "0.0.0.0:7448", host.roster())
     access = door["access_control"]
     assert access["default_permission"] == "deny"
     roles = {subject["id"]: subject.get("cert_common_names") for subject in access["subjects"]}
-    assert roles == {"local": None, "viewer": ["guest anna"], "operator": ["guest olga"]}
+    assert roles == {
+        "local": None,
+        "viewer": ["guest anna"],
+        "operator": ["guest olga"],
+        "machine": ["guest desk"],
+    }
     writes = {rule["id"]: rule["key_exprs"] for rule in access["rules"] if "put" in rule["messages"]}
     assert writes["drive_in"] == ["7/robot/cmd_vel/**"]
     allowed = {policy["subjects"][0]: policy["rules"] for policy in access["policies"]}
     assert allowed["viewer"] == ["read_in", "read_out"]
+    assert [role for role, rules in allowed.items() if "work_in" in rules] == ["machine"]
+    assert {"7/robot/odom/**", "7/robot/map/**/@adv/**", "hallway/robot/map"} <= set(writes["work_in"])
+    # What devices say, and who the robot is, is nobody's elsewhere.
+    said = {key.split("/")[2] for key in writes["work_in"] if key.startswith("7/robot/")}
+    assert not said & {"scan", "battery", "bumper", "truth", "clock"}
+    assert "hallway/robot/clock" not in writes["work_in"]
     assert host.key.read_text() not in str(door)
 
 
@@ -136,6 +148,15 @@ def test_the_processes_of_a_robot_dial_nobody_over_a_network_and_its_hub_lets_in
     door = gate.door(host, "robot", 0, "0.0.0.0:7448", {})
     assert protocols(links.hub(home, door)) == ["unixsock-stream", "tls"]
     assert protocols(gate.guest(keys.invite("robot", "anna", "viewer", "10.0.0.1"))) == ["tls"]
+
+
+def test_the_hub_of_another_machine_listens_for_its_own_and_leads_to_the_robot_that_may_come_later(home):
+    keys.make("robot")
+    session = links.hub(home, gate.lead(keys.invite("robot", "desk", "machine", "10.0.0.1")))
+    assert session["listen"]["endpoints"] == [links.socket(home, "hub")]
+    assert session["connect"]["endpoints"] == ["tls/10.0.0.1:7448"]
+    assert (session["connect"]["exit_on_failure"], session["connect"]["timeout_ms"]) == (False, -1)
+    assert session["transport"]["link"]["tls"]["enable_mtls"] is True
 
 
 def test_a_machine_with_ros_gets_a_router_that_leads_to_the_robot_and_listens_for_itself_alone(home, capsys):

@@ -1,5 +1,6 @@
 """The offset of two clocks is found to half a round trip, whichever way the delay goes."""
 
+import threading
 import time
 
 import pytest
@@ -47,13 +48,16 @@ def test_a_robot_tells_its_time_on_the_bus():
         assert measured(laptop, "another", ManualClock()) is None
 
 
-def test_a_viewer_s_clock_is_set_by_the_robot_s():
+@pytest.mark.parametrize("later_s", [0.0, 0.3])
+def test_a_clock_elsewhere_is_set_by_the_robot_s_although_that_comes_later(later_s):
     ours = ManualClock(500_000)
     with MemoryBus() as robot, robot.join() as laptop:
-        tell_time(robot, "robot", ManualClock(2_000_000))
+        telling = threading.Timer(later_s, tell_time, (robot, "robot", ManualClock(2_000_000)))
+        telling.start()
         follower = Follower(laptop, "robot", ours)
         end = time.monotonic() + 10
         while ours.offset_ns != 1_500_000:
             assert time.monotonic() < end, f"offset {ours.offset_ns}"
             time.sleep(0.01)
         follower.close()
+        telling.join()

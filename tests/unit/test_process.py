@@ -14,6 +14,8 @@ from runtime.process.realtime import PARENT_VARIABLE
 
 ROOT = Path(__file__).resolve().parents[2]
 
+READY = ["diagnostic_msgs/msg/DiagnosticArray", "settle"]
+"""What a spare process has done before it is called, besides what it imports."""
 NODE = """
     from dataclasses import dataclass
     SUBSCRIBES = PUBLISHES = ()
@@ -49,6 +51,8 @@ def stages(tmp_path, monkeypatch):
         monkeypatch.setattr(
             "runtime.process.__main__.realtime.step_forward", lambda pid, like: steps.append("forward")
         )
+        monkeypatch.setattr("runtime.process.messages.prepare", lambda kind: steps.append(kind))
+        monkeypatch.setattr("runtime.process.realtime.settle", lambda: steps.append("settle"))
         if called:
             os.write(writing, b"go\n")
         with open(reading, encoding="ascii") as stdin:
@@ -62,11 +66,11 @@ def stages(tmp_path, monkeypatch):
 
 
 def test_who_only_stands_by_leaves_the_processor_to_others(stages):
-    assert stages(called=False) == ["aside", "forward"]
+    assert stages(called=False) == ["aside", *READY, "forward"]
 
 
 def test_who_is_called_before_it_has_imported_anything_hurries(stages):
-    assert stages(called=True) == []
+    assert stages(called=True) == READY
 
 
 def test_a_pinned_process_stays_on_its_core_with_all_its_threads(tmp_path):

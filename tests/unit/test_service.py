@@ -24,6 +24,17 @@ def test_the_unit_starts_the_graph_and_watches_it(tmp_path):
     assert "User=nobody" in text
 
 
+def test_a_machine_that_is_not_the_robot_waits_for_it_again_when_it_has_ended(tmp_path, monkeypatch):
+    monkeypatch.setenv("SUDO_USER", "nobody")
+    graph = tmp_path / "g.yaml"
+    graph.write_text("hosts: [pi, desk]\nnodes: {a: {module: monitor}, b: {module: mapper, host: desk}}\n")
+    for host, restart in (("pi", "on-failure"), ("desk", "always")):
+        assert cli.main(["up", str(graph), "--host", host, "--service", str(tmp_path)]) == 0
+        text = (tmp_path / "hallway-robot.service").read_text()
+        assert f"--robot robot --host {host}\n" in text
+        assert f"Restart={restart}\n" in text
+
+
 def test_nothing_runs_as_root(tmp_path):
     with pytest.raises(ConfigError, match="a robot does not run as root"):
         service.unit(tmp_path / "g.yaml", "robot", tmp_path, "root", [])
