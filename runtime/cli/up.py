@@ -180,7 +180,7 @@ def _has_screen() -> bool:
 
 
 def _check(file: Path, headless: bool, machine: "Machine") -> dict[str, Any]:
-    """Check every node here in a process of its own: modules are heavy, this one stays light. Then compile."""
+    """Check every node here in a process of its own, as modules are heavy and this one is light; compile."""
     from runtime.cli.compiling import UNCOMPILED, compile_all
     from runtime.cli.patience import told
     from runtime.clock import Clock

@@ -10,6 +10,7 @@ from numba.core.caching import _CacheLocator
 
 from runtime.cli import compiling, replay_map, up
 from runtime.errors import ConfigError
+from runtime.supervision.machines import Machine
 
 PROCESSING = Path(__file__).parents[2] / "processing"
 ON_DEMAND = {"sharpness"}  # of `hallway evaluate` only
@@ -130,11 +131,11 @@ def test_a_robot_is_compiled_once_its_graph_is_known_to_be_good(config, tmp_path
     graph = tmp_path / "graph.yaml"
     graph.write_text(f"robot: r\nnodes:\n  matcher: {{module: matcher, config: {config}}}\n")
     if config == "{}":
-        assert up._check(graph, headless=True)["matcher"]["publishes"]
+        assert up._check(graph, True, Machine())["matcher"]["publishes"]
         assert "NUMBA_DISABLE_JIT" not in compiled[0]
     else:
         with pytest.raises(ConfigError, match="key_scans"):
-            up._check(graph, headless=True)
+            up._check(graph, True, Machine())
         assert compiled == []
 
 

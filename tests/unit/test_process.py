@@ -51,8 +51,8 @@ def stages(tmp_path, monkeypatch):
         monkeypatch.setattr(
             "runtime.process.__main__.realtime.step_forward", lambda pid, like: steps.append("forward")
         )
-        monkeypatch.setattr("runtime.process.messages.prepare", lambda kind: steps.append(kind))
-        monkeypatch.setattr("runtime.process.realtime.settle", lambda: steps.append("settle"))
+        monkeypatch.setattr("runtime.process.__main__.messages.prepare", lambda kind: steps.append(kind))
+        monkeypatch.setattr("runtime.process.__main__.realtime.settle", lambda: steps.append("settle"))
         if called:
             os.write(writing, b"go\n")
         with open(reading, encoding="ascii") as stdin:
