@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.dpslam.closing import FIELD_CELL_M, Closing, Question
-from processing.dpslam.drift import drift_of
+from processing.dpslam.drift import Drift, drift_of
 from processing.dpslam.judging import FITTING, Finding, Judge, away_m
 from processing.dpslam.loop_config import LoopConfig
 from processing.dpslam.places import Places
@@ -24,10 +24,9 @@ from processing.dpslam.proposal import WIDE_M
 from processing.dpslam.settled import SettledMap
 from processing.dpslam.thinning import picked, thinned
 from processing.growing import Growing
-from processing.motion import carried
 from processing.ndt import Points
 from processing.observability import view
-from processing.se2 import Pose, between, compose, transform, wrap
+from processing.se2 import Pose, between, compose, transform
 from processing.smoothing import Relations, smooth
 
 Matrix = NDArray[np.float64]
@@ -62,14 +61,14 @@ class Loops:
         self.path: Pose = np.zeros((0, 3))
         self.points: list[Points] = []
         self.places = Places()
-        self._motions, self._covariances, self._way_m = Growing((3,)), Growing((3, 3)), Growing()
+        self._motions, self._way_m = Growing((3,)), Growing()
+        self._drift = Drift()
         self.linked = True
         """Whether the newest key scans lie on the settled map, or there is none yet."""
         self.closures = 0
         self._map = SettledMap()
         self._settled = 0
         self._misses = 0
-        self._drift = np.zeros((3, 3))
         self._tried_m = 0.0
         self._judge = Judge(config)
         self._closing: Closing | None = None
@@ -92,10 +91,9 @@ class Loops:
         self._motions.append(motion)
         step_m = 0.0 if first else float(np.hypot(motion[0], motion[1]))
         self._way_m.append(step_m + (0.0 if first else self.way_m[-1]))
-        self._covariances.append(drift_of(covariance, motion, self.points[-1], self.config))
+        self._drift.go_on(drift_of(covariance, motion, self.points[-1], self.config), motion)
         if first:
             return None
-        self._drift = carried(self._drift, motion) + self._covariances.rows[-1]
         self._settle()
         if self.linked:
             self._place()
@@ -147,13 +145,13 @@ class Loops:
             "points": np.vstack((np.zeros((0, 2)), *self.points)),
             "counts": np.array([len(points) for points in self.points], dtype=np.int64),
             "motions": self._motions.rows.copy(),
-            "covariances": self._covariances.rows.copy(),
+            "drift_steps": self._drift.steps.rows.copy(),
+            "drift": self._drift.rows.rows.copy(),
             "way_m": self.way_m.copy(),
             "place_ends": places.ends.rows.copy(),
             "place_poses": places.poses.rows.copy(),
             "place_informations": places.informations.rows.copy(),
             "place_doubts": places.doubts.rows.copy(),
-            "drift": self._drift.copy(),
             "flags": np.array((self.linked, self.closures, self._settled, self._misses)),
             "tried_m": np.array(self._tried_m),
             "judge": self._judge.state(),
@@ -167,13 +165,13 @@ class Loops:
         ends = np.cumsum(state["counts"])[:-1]
         self.points = [part.copy() for part in np.split(state["points"], ends)] if len(self.path) else []
         self._motions.replace(state["motions"])
-        self._covariances.replace(state["covariances"])
+        self._drift.steps.replace(state["drift_steps"])
+        self._drift.rows.replace(state["drift"])
         self._way_m.replace(state["way_m"])
         self.places.ends.replace(state["place_ends"])
         self.places.poses.replace(state["place_poses"])
         self.places.informations.replace(state["place_informations"])
         self.places.doubts.replace(state["place_doubts"])
-        self._drift = state["drift"].copy()
         linked, self.closures, self._settled, self._misses = state["flags"].tolist()
         self.linked = bool(linked)
         self._tried_m = float(state["tried_m"])
@@ -203,30 +201,55 @@ class Loops:
         count = len(points)
         points = points[~self._map.away(points, at)]
         if np.count_nonzero(self._map.fits(points, at) >= 0.0) > KNOWN_SHARE * count:
-            prior = self._covariances.rows[-1] + np.diag((0.03**2, 0.03**2, 0.01**2))
+            prior = self._drift.steps.rows[-1] + np.diag((0.03**2, 0.03**2, 0.01**2))
             fit = self._map.refine(points, at, np.asarray(np.linalg.inv(_in_map(prior, at[2]))))
             fits = self._map.fits(points, fit.map_t_points)
             good = (fits > FITTING).sum() > 0.5 * max(int((fits >= 0.0).sum()), 1)
             if good and (np.abs(between(at, fit.map_t_points)) < MOST_CORRECTION).all():
-                self._relate(fit.map_t_points, self._honest(fit.information, at[2]), DOUBT)
+                near = self._seen_by(points[fits > FITTING], fit.map_t_points)
+                if near is not None:
+                    self._relate(near, fit.map_t_points, self._honest(fit.information, at[2]), DOUBT)
                 self._misses = 0
         if self._misses > PATIENCE:
             self.linked = False
             self._judge.forget()
 
-    def _relate(self, map_t_laser: Pose, information: Matrix, doubt: float) -> bool:
-        """Add the relation of the newest key scan to the settled key scan nearest to it."""
-        settled = self.path[: self._settled]
-        off = np.hypot(settled[:, 0] - map_t_laser[0], settled[:, 1] - map_t_laser[1])
-        off += 0.5 * np.abs(wrap(settled[:, 2] - map_t_laser[2]))
-        if len(off) == 0 or off.min() > 5.0:
-            return False
-        near = int(off.argmin())
+    def _seen_by(self, points: Points, map_t_laser: Pose) -> int | None:
+        """Return the settled key scan to which a place is tied by points that lie on walls there.
+
+        Who merely stands near may have seen other walls, and drifted since. Of the stretch of way that was
+        the first to see these it is the key scan nearest to the place.
+
+        Args:
+            points: (N, 2) m, laser frame.
+            map_t_laser: (3,) the place.
+        """
+        owners = self._map.owners(points, map_t_laser)
+        if len(owners) == 0:
+            return None
+        way_m = self.way_m[: self._settled]
+        middle = np.sort(owners)[len(owners) // 2]
+        stretch = np.flatnonzero(np.abs(way_m - way_m[middle]) <= self.config.reach_m)
+        off = np.abs(between(map_t_laser, self.path[stretch]))
+        return int(stretch[(np.hypot(off[:, 0], off[:, 1]) + 0.5 * off[:, 2]).argmin()])
+
+    def _relate(self, near: int, map_t_laser: Pose, information: Matrix, doubt: float) -> Matrix:
+        """Add the relation of the newest key scan, where it was found (3,), to a settled one.
+
+        Args:
+            near: The settled one.
+            map_t_laser: (3,) the place of the newest.
+            information: (3, 3) of the place, map axes, one unit a point.
+            doubt: Chi-square at which the relation is doubted; 0 for never.
+
+        Returns:
+            What the relation is taken to know, (3, 3) in the newest laser's frame.
+        """
         known = _in_map(POINT_GAIN * information, -map_t_laser[2]) + 1e-3 * np.eye(3)
-        measured = between(settled[near], map_t_laser)
+        measured = between(self.path[near], map_t_laser)
         self.places.add((near, len(self.path) - 1), measured, known, doubt)
-        self._drift = np.asarray(np.linalg.inv(np.linalg.inv(self._drift + 1e-9 * np.eye(3)) + known))
-        return True
+        self._drift.find(near, measured, known)
+        return known
 
     def _honest(self, information: Matrix, yaw_rad: float) -> Matrix:
         """Return what the map tells of the newest key scan (3, 3), map axes, without what it cannot know.
@@ -234,7 +257,7 @@ class Loops:
         Along a corridor the edge of what is known ties a scan to wherever it happens to lie. That is so where
         neither the map nor the odometry sees; few points on a wall at right angles are rough but true.
         """
-        moved = _in_map(self._covariances.rows[-1], yaw_rad)[:2, :2]
+        moved = _in_map(self._drift.steps.rows[-1], yaw_rad)[:2, :2]
         seen = np.eye(3)
         for direction in view(information).unseen:
             if direction @ moved @ direction > UNSEEN_M**2:
@@ -249,8 +272,9 @@ class Loops:
         """Begin to search the last metres in the settled map, if it has anything where they may lie."""
         self._tried_m = self.way_m[-1]
         c, at = self.config, self.path[-1]
-        reach_m = min(3.0 * self.away_m() + 0.5, c.most_window_m)
-        reach_rad = min(3.0 * float(np.sqrt(self._drift[2, 2])) + 0.1, c.most_window_rad)
+        drift = self._drift_here()
+        reach_m = min(3.0 * away_m(drift) + 0.5, c.most_window_m)
+        reach_rad = min(3.0 * float(np.sqrt(drift[2, 2])) + 0.1, c.most_window_rad)
         settled = self.path[: self._settled]
         off = np.hypot(settled[:, 0] - at[0], settled[:, 1] - at[1])
         if (off < reach_m + 3.0).sum() < 5:
@@ -279,8 +303,11 @@ class Loops:
         if self._is_behind_walls(fit.map_t_points):
             return None
         share = len(self.points[-1]) / len(query)
-        if not self._relate(fit.map_t_points, share * fit.information, 0.0):
+        near = self._seen_by(query[self._map.fits(query, fit.map_t_points) > FITTING], fit.map_t_points)
+        if near is None:
             return None
+        known = self._relate(near, fit.map_t_points, share * fit.information, 0.0)
+        self._drift.close(near, self.path, known)
         self.closures += 1
         self.linked, self._misses = True, 0
         self._judge.forget()
@@ -293,13 +320,17 @@ class Loops:
         found = closing.found()
         if found is None:
             return None
+        place = closing.carried(found.best.map_t_points, self.path)
+        near = self._seen_by(recent[self._map.fits(recent, place) > FITTING], place)
+        if near is None:
+            return None
         finding = Finding(
-            place=closing.carried(found.best.map_t_points, self.path),
+            place=place,
             rival=closing.carried(found.rival.map_t_points, self.path) if found.rival else None,
             score=found.best.score,
             rival_ratio=found.rival.score / found.best.score if found.rival else 0.0,
             at=self.path[-1],
-            drift=self._drift,
+            drift=self._drift.since(near, between(self.path[near], self.path[-1])),
             points=recent,
             way_m=float(self.way_m[-1]),
         )
@@ -320,8 +351,22 @@ class Loops:
         return behind > MOST_BEHIND * fitting
 
     def away_m(self) -> float:
-        """How far the path may be off in the direction that is known worst, one sigma."""
-        return away_m(self._drift)
+        """How far the path may be off from what was mapped around, in the worst direction, one sigma."""
+        return away_m(self._drift_here())
+
+    def _drift_here(self) -> Matrix:
+        """Return how far the newest key scan may be off (3, 3), seen from the best known one around."""
+        total = self._drift.now
+        if self._settled == 0:
+            return total
+        at = self.path[-1]
+        settled = self.path[: self._settled]
+        reach_m = min(3.0 * away_m(total) + 0.5, self.config.most_window_m) + 3.0
+        around = np.flatnonzero(np.hypot(settled[:, 0] - at[0], settled[:, 1] - at[1]) < reach_m)
+        if len(around) == 0:
+            return total
+        best = int(around[np.trace(self._drift.rows.rows[around, :2, :2], axis1=1, axis2=2).argmin()])
+        return self._drift.since(best, between(settled[best], at))
 
     def _recent(self) -> Points:
         """Gather the points of the last metres of way, evenly, in the newest laser frame."""
@@ -344,7 +389,7 @@ class Loops:
         return Relations(
             np.concatenate((np.column_stack((chain - 1, chain)), places.ends.rows)),
             np.concatenate((self._motions.rows[1:], places.poses.rows)),
-            np.concatenate((np.linalg.inv(self._covariances.rows[1:]), places.informations.rows)),
+            np.concatenate((np.linalg.inv(self._drift.steps.rows[1:]), places.informations.rows)),
             np.concatenate((np.zeros(len(chain)), places.doubts.rows)),
         )
 

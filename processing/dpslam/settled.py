@@ -23,8 +23,6 @@ CELL_M = 0.25
 _STAGES = np.array(((0.01, 0.0), (0.0, 0.0)))
 """Variances (m^2) that widen the cells: first a decimetre, for the basin; then as they are. No finer
 cells."""
-PIECE = 2048
-"""Points that are worked in at a time."""
 FLAT = 0.25
 """A cell whose variances have a smaller ratio is a wall: of many passes it is thicker than of one scan."""
 _FREE = 1e9
@@ -57,15 +55,18 @@ class SettledMap:
         self._places: NDArray[np.int32] = np.zeros((0, 2), dtype=np.int32)
         self._normals: NDArray[np.float64] = np.zeros((0, 5))
         self._views: NDArray[np.float64] = np.zeros((0, 2))
+        self._owners: NDArray[np.int32] = np.zeros(0, dtype=np.int32)
         self._counts = np.zeros(3, dtype=np.int64)
+        self._scans = 0
 
     def add(self, points: Points, map_t_laser: Pose) -> None:
-        """Work the points (N, 2) of a scan into the map, laser frame, that was taken at a pose (3,)."""
+        """Work the points (N, 2), laser frame, of the next scan into the map; it was taken at a pose (3,)."""
+        self._scans += 1
         if len(points) == 0:
             return
         placed = np.ascontiguousarray(transform(map_t_laser, points))
         self._cover(placed)
-        self._accumulate(placed, np.tile(map_t_laser[:2], (len(placed), 1)))
+        self._accumulate(placed, map_t_laser[:2], self._scans - 1)
         self._counts[1] = refit(
             placed, self._origin, self._slots, self._sums, self._normals, self._rule, self._counts[1]
         )
@@ -80,16 +81,18 @@ class SettledMap:
         self.clear()
         if sum(len(points) for points in scans) == 0:
             return
-        poses = np.repeat(path, [len(points) for points in scans], axis=0)
+        counts = [len(points) for points in scans]
+        poses = np.repeat(path, counts, axis=0)
         points = np.vstack(scans)
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         x = c * points[:, 0] - s * points[:, 1] + poses[:, 0]
         y = s * points[:, 0] + c * points[:, 1] + poses[:, 1]
-        placed, lasers = np.column_stack((x, y)), np.ascontiguousarray(poses[:, :2])
+        placed = np.column_stack((x, y))
         self._cover(placed)
-        # Piece by piece: the room for all points at once would be that of the drive, not of its area.
-        for first in range(0, len(placed), PIECE):
-            self._accumulate(placed[first : first + PIECE], lasers[first : first + PIECE])
+        ends = np.cumsum(counts)
+        for scan, (first, end) in enumerate(zip(ends - counts, ends, strict=True)):
+            self._accumulate(placed[first:end], path[scan, :2], scan)
+        self._scans = len(counts)
         self._counts[1] = refit_all(
             self._places, self._counts[0], self._slots, self._sums, self._normals, self._rule, self._counts[1]
         )
@@ -111,6 +114,20 @@ class SettledMap:
         fit_of_points(points, self._origin, self._slots, self._normals, map_t_points, fits)
         return fits
 
+    def owners(self, points: Points, map_t_points: Pose) -> NDArray[np.int64]:
+        """Return which scans were the first to see the places on which points (N, 2) lie at a pose (3,).
+
+        Returns:
+            (M,) numbers of scans, counted from 0, for the points that lie where the map has any.
+        """
+        places = np.floor((transform(map_t_points, points) - self._origin[:2]) * self._origin[2]).astype(
+            np.int64
+        )
+        rows, cols = self._slots.shape[1:]
+        inside = ((places >= 0) & (places < (cols, rows))).all(axis=1)
+        slots = self._slots[0, places[inside, 1], places[inside, 0]]
+        return np.asarray(self._owners[slots[slots >= 0]], np.int64)
+
     def refine(self, points: Points, map_t_guess: Pose, information: NDArray[np.float64]) -> Fit:
         """Lay points (N, 2) on the map, from a guess held with the given information (3, 3), map axes."""
         prior = np.concatenate((map_t_guess, information.ravel(), (_FREE, 1.0)))
@@ -128,7 +145,9 @@ class SettledMap:
             "places": self._places.copy(),
             "normals": self._normals.copy(),
             "views": self._views.copy(),
+            "owners": self._owners.copy(),
             "counts": self._counts.copy(),
+            "scans": np.array(self._scans),
         }
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
@@ -136,19 +155,23 @@ class SettledMap:
         self._origin, self._slots = state["origin"].copy(), state["slots"].copy()
         self._sums, self._places = state["sums"].copy(), state["places"].copy()
         self._normals, self._counts = state["normals"].copy(), state["counts"].copy()
-        self._views = state["views"].copy()
+        self._views, self._owners = state["views"].copy(), state["owners"].copy()
+        self._scans = int(state["scans"])
 
-    def _accumulate(self, points: Points, lasers: NDArray[np.float64]) -> None:
-        """Add points (N, 2) within the window, seen from (N, 2), to the sums of their half cells."""
-        need = int(self._counts[0]) + len(points)
+    def _accumulate(self, points: Points, laser: NDArray[np.float64], scan: int) -> None:
+        """Add points (N, 2) within the window, seen from (2,) by a scan, to the sums of their half cells."""
+        known = int(self._counts[0])
+        need = known + len(points)
         if need > len(self._sums):
             size = 2 * need
             self._sums = _longer(self._sums, size)
             self._places = _longer(self._places, size)
             self._normals = _longer(self._normals, 4 * size)
             self._views = _longer(self._views, size)
+            self._owners = np.concatenate((self._owners, np.zeros(size - len(self._owners), np.int32)))
         accumulate(points, self._origin, self._slots, self._sums, self._places, self._counts)
-        note_views(points, lasers, self._origin, self._slots, self._views)
+        self._owners[known : self._counts[0]] = scan
+        note_views(points, laser, self._origin, self._slots, self._views)
 
     def _cover(self, points: Points) -> None:
         """Let the window cover the points (N, 2) with a border."""

@@ -74,15 +74,15 @@ def fit_of_points(points, origin, slots, normals, pose, fits):
             fits[k] = point_score(u, v, row, col, slots, normals, inverse, 0.0)
 
 
-@njit("void(f8[:,::1], f8[:,::1], f8[::1], i4[:,:,::1], f8[:,::1])", cache=True, nogil=True)
-def note_views(points, lasers, origin, slots, views):
-    """Add to the half cell of each point (N, 2) the unit vector to the laser (N, 2) that saw it."""
+@njit("void(f8[:,::1], f8[::1], f8[::1], i4[:,:,::1], f8[:,::1])", cache=True, nogil=True)
+def note_views(points, laser, origin, slots, views):
+    """Add to the half cell of each point (N, 2) the unit vector to the laser (2,) that saw it."""
     rows, cols = slots.shape[1], slots.shape[2]
     for k in range(points.shape[0]):
         col = int(np.floor((points[k, 0] - origin[0]) * origin[2]))
         row = int(np.floor((points[k, 1] - origin[1]) * origin[2]))
         if 1 <= row < rows - 1 and 1 <= col < cols - 1 and slots[0, row, col] >= 0:
-            dx, dy = lasers[k, 0] - points[k, 0], lasers[k, 1] - points[k, 1]
+            dx, dy = laser[0] - points[k, 0], laser[1] - points[k, 1]
             away = max(np.hypot(dx, dy), 1e-9)
             slot = slots[0, row, col]
             views[slot, 0] += dx / away

@@ -12,7 +12,7 @@ from drivers.world.laser import Sick, bearings
 from processing.dpslam import loops as loops_module
 from processing.dpslam.loop_config import LoopConfig
 from processing.dpslam.loops import Loops
-from processing.se2 import between, compose
+from processing.se2 import between, compose, invert, transform
 
 KEY_M, KEY_RAD = 0.3, 0.25
 
@@ -219,3 +219,25 @@ def test_in_a_corridor_old_ground_holds_along_only_what_the_odometry_saw(along_m
 def test_a_setting_out_of_its_range_is_refused(name, value):
     with pytest.raises(ValueError, match=name):
         LoopConfig(**{name: value})
+
+
+def test_a_place_is_tied_to_who_saw_its_walls_and_not_to_who_stood_nearest():
+    wall = np.column_stack((np.full(60, 12.0), np.linspace(-3.0, 3.0, 60)))
+    elsewhere = np.column_stack((np.linspace(-8.0, -2.0, 60), np.full(60, -6.0)))
+    loops = Loops(LoopConfig())
+    for k in range(40):
+        # Two stretches of way: one sees the wall from afar, the other stands before it and does not.
+        at = (0.1 * k, 0.0, 0.0) if k < 20 else (9.0 + 0.05 * k, 0.0, np.pi)
+        loops.path = np.vstack((loops.path, at))
+        loops._way_m.append(0.1 * k if k < 20 else 100.0 + 0.05 * k)
+        loops._settled = k + 1
+        points = wall if k < 20 else elsewhere
+        loops._map.add(between_points(at, points), np.array(at))
+    here = np.array((10.0, 0.0, 0.0))
+    assert loops._seen_by(between_points(here, wall), here) == 19
+    assert loops._seen_by(between_points(here, elsewhere), here) == 20
+    assert loops._seen_by(between_points(here, wall + 50.0), here) is None
+
+
+def between_points(map_t_laser, points_map):
+    return np.ascontiguousarray(transform(invert(np.asarray(map_t_laser)), points_map))

@@ -194,3 +194,22 @@ def plainly_away(point, seen, laser):
             and beyond > max(0.0, BEHIND_SLANT * np.hypot(*off))
         )
     return bool(known) and all(known)
+
+
+def test_each_place_is_owned_by_the_scan_that_saw_it_first():
+    first, second = room(), room() + np.array((20.0, 0.0))
+    settled = SettledMap()
+    settled.add(first, HERE)
+    settled.add(np.zeros((0, 2)), HERE)
+    settled.add(np.vstack((first, second)), HERE)
+    nowhere = np.array(((10.0, 0.0), (500.0, 0.0), (-500.0, 3.0)))
+    for one, built in ((settled, False), (SettledMap(), True)):
+        if built:
+            one.rebuild([first, np.zeros((0, 2)), np.vstack((first, second))], np.tile(HERE, (3, 1)))
+        np.testing.assert_array_equal(one.owners(first, HERE), 0)
+        np.testing.assert_array_equal(one.owners(second, HERE), 2)
+        assert len(one.owners(first, HERE)) == len(first)
+        assert len(one.owners(nowhere, np.zeros(3))) == 0
+    restored = SettledMap()
+    restored.restore(settled.state())
+    np.testing.assert_array_equal(restored.owners(second, HERE), 2)
