@@ -38,6 +38,28 @@ class Drift:
         self.rows = Growing((3, 3))
         """(K, 3, 3) and how far each may be off, seen from the first."""
 
+    @classmethod
+    def retold(
+        cls, steps: Matrix, motions: Pose, ends: NDArray[np.int64], poses: Pose, informations: Matrix
+    ) -> "Drift":
+        """Return the drift of a saved path, loops not spread: never less than it was.
+
+        Args:
+            steps: (K, 3, 3) what the motion to each key scan added.
+            motions: (K, 3) from the key scan before.
+            ends: (R, 2) key scans of which the second was found to lie on the first.
+            poses: (R, 3) the second seen from the first.
+            informations: (R, 3, 3) of that.
+        """
+        drift = cls()
+        order = np.argsort(ends[:, 1], kind="stable")
+        firsts = np.searchsorted(ends[order, 1], np.arange(len(steps) + 1))
+        for key, (step, motion) in enumerate(zip(steps, motions, strict=True)):
+            drift.go_on(step, motion)
+            for found in order[firsts[key] : firsts[key + 1]]:
+                drift.find(int(ends[found, 0]), poses[found], informations[found])
+        return drift
+
     @property
     def now(self) -> Matrix:
         """How far the newest key scan may be off, (3, 3)."""

@@ -145,7 +145,7 @@ class Loops:
             "points": np.vstack((np.zeros((0, 2)), *self.points)),
             "counts": np.array([len(points) for points in self.points], dtype=np.int64),
             "motions": self._motions.rows.copy(),
-            "drift_steps": self._drift.steps.rows.copy(),
+            "covariances": self._drift.steps.rows.copy(),
             "drift": self._drift.rows.rows.copy(),
             "way_m": self.way_m.copy(),
             "place_ends": places.ends.rows.copy(),
@@ -165,7 +165,7 @@ class Loops:
         ends = np.cumsum(state["counts"])[:-1]
         self.points = [part.copy() for part in np.split(state["points"], ends)] if len(self.path) else []
         self._motions.replace(state["motions"])
-        self._drift.steps.replace(state["drift_steps"])
+        self._drift.steps.replace(state["covariances"])
         self._drift.rows.replace(state["drift"])
         self._way_m.replace(state["way_m"])
         self.places.ends.replace(state["place_ends"])

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.dpslam.config import DpSlamConfig
+from processing.dpslam.drift import Drift
 from processing.dpslam.filter import DpSlam
 from processing.dpslam.judging import Judge
 from processing.dpslam.memory import KeyScans
@@ -91,6 +92,9 @@ def _loops(past: Past, config: DpSlamConfig) -> dict[str, NDArray[Any]]:
     steps[starts[(starts > 0) & (starts < len(steps))]] += 2.0 * config.loops.reach_m
     way_m = np.cumsum(steps)
     settled = int(np.searchsorted(way_m, way_m[-1] - config.loops.reach_m))
+    found = (past.relation_ends, past.relation_poses, past.relation_informations)
+    drift = Drift.retold(past.covariances, past.motions, *found)
+    drift.rows.rows[-1] = np.diag(ARRIVAL**2)
     drawn = SettledMap()
     drawn.rebuild(points[:settled], past.map_t_laser[:settled])
     return {
@@ -104,7 +108,7 @@ def _loops(past: Past, config: DpSlamConfig) -> dict[str, NDArray[Any]]:
         "place_poses": past.relation_poses,
         "place_informations": past.relation_informations,
         "place_doubts": past.relation_doubts,
-        "drift": np.diag(ARRIVAL**2),
+        "drift": drift.rows.rows,
         "flags": np.array((True, 0, settled, 0)),
         "tried_m": np.array(way_m[-1]),
         "judge": Judge(config.loops).state(),

@@ -80,3 +80,21 @@ def test_a_place_that_is_known_worse_than_the_laser_takes_nothing_from_it():
 
 def test_nothing_is_off_before_the_first_key_scan():
     assert (Drift().now == 0.0).all()
+
+
+def test_a_saved_path_has_the_drift_that_it_had():
+    drift, path = driven()
+    ends, known = np.array([(0, 20), (PLACE, KEYS - 1)]), np.diag((1e4, 100.0, 2e4))
+    poses = np.array([between(path[i], path[j]) for i, j in ends])
+    lived = Drift()
+    for key in range(KEYS):
+        lived.go_on(STEP, MOTION if key else np.zeros(3))
+        for (i, j), pose in zip(ends, poses, strict=True):
+            if key == j:
+                lived.find(i, pose, known)
+    # In whatever order its relations were saved.
+    retold = Drift.retold(
+        drift.steps.rows, np.tile(MOTION, (KEYS, 1)), ends[::-1], poses[::-1], np.stack((known, known))
+    )
+    np.testing.assert_array_equal(retold.rows.rows, lived.rows.rows)
+    assert (np.linalg.det(lived.rows.rows[20:]) < np.linalg.det(drift.rows.rows[20:])).all()
