@@ -23,8 +23,6 @@ STEADYING_M = 10.0
 """Points farther away than that do not hold the heading any better: the bearings are not that true."""
 MOST_VARIANCE = 4.0
 """Nothing is known worse than this, m^2, rad^2: the next scans will tell, and searches have their bounds."""
-
-
 LEAST = np.diag((1e-9, 1e-9, 1e-9))
 """Keeps what is known exactly invertible; m^2, rad^2."""
 
@@ -35,7 +33,7 @@ class Drift:
     def __init__(self) -> None:
         self.steps = Growing((3, 3))
         """(K, 3, 3) what the motion to each key scan added,"""
-        self.rows = Growing((3, 3))
+        self.errors = Growing((3, 3))
         """(K, 3, 3) and how far each may be off, seen from the first."""
 
     @classmethod
@@ -63,12 +61,12 @@ class Drift:
     @property
     def now(self) -> Matrix:
         """How far the newest key scan may be off, (3, 3)."""
-        return np.asarray(self.rows.rows[-1], np.float64) if len(self.rows) else np.zeros((3, 3))
+        return np.asarray(self.errors.rows[-1], np.float64) if len(self.errors) else np.zeros((3, 3))
 
     def go_on(self, step: Matrix, motion: Pose) -> None:
         """Add a key scan, after a motion (3,) that may be off by `step` (3, 3)."""
         self.steps.append(step)
-        self.rows.append(carried(self.now, motion) + step if len(self.rows) else 0.0)
+        self.errors.append(carried(self.now, motion) + step if len(self.errors) else 0.0)
 
     def since(self, key: int, key_t_here: Pose) -> Matrix:
         """Return how far the newest key scan may be off, seen from an earlier one (3, 3).
@@ -77,7 +75,7 @@ class Drift:
             key: The earlier one: what it is off by, the newest is off by as well.
             key_t_here: (3,) the newest seen from there.
         """
-        return self._apart(carried(self.rows.rows[key], key_t_here))[1]
+        return self._apart(carried(self.errors.rows[key], key_t_here))[1]
 
     def find(self, key: int, key_t_here: Pose, information: Matrix) -> None:
         """Take in that the newest key scan was found to lie on an earlier one.
@@ -87,9 +85,9 @@ class Drift:
             key_t_here: (3,) the newest seen from there, as it was found.
             information: (3, 3) of that, in the newest laser's frame.
         """
-        shared, own = self._apart(carried(self.rows.rows[key], key_t_here))
+        shared, own = self._apart(carried(self.errors.rows[key], key_t_here))
         found = np.asarray(np.linalg.inv(information + LEAST), np.float64)
-        self.rows.rows[-1] = shared + _both(own, found)
+        self.errors.rows[-1] = shared + _both(own, found)
 
     def close(self, key: int, path: Pose, information: Matrix) -> None:
         """Spread what `find` was told over the loop, from the earlier key scan on: both its ends are known.
@@ -107,11 +105,11 @@ class Drift:
         forward = np.cumsum(steps, axis=0)
         found = carried(np.asarray(np.linalg.inv(information + LEAST), np.float64), invert(ways[-1]))
         backward = found + np.cumsum(steps[::-1], axis=0)[::-1] - steps
-        base = self.rows.rows[key]
+        base = self.errors.rows[key]
         for k, way, there, back in zip(loop[:-1], ways, forward, backward, strict=False):
             known = carried(base + _both(there, back), way)
-            if np.linalg.det(known) < np.linalg.det(self.rows.rows[k]):
-                self.rows.rows[k] = known
+            if np.linalg.det(known) < np.linalg.det(self.errors.rows[k]):
+                self.errors.rows[k] = known
 
     def _apart(self, old: Matrix) -> tuple[Matrix, Matrix]:
         """Split what the newest key scan may be off by: what an old error (3, 3) explains, and its own."""

@@ -146,7 +146,7 @@ class Loops:
             "counts": np.array([len(points) for points in self.points], dtype=np.int64),
             "motions": self._motions.rows.copy(),
             "covariances": self._drift.steps.rows.copy(),
-            "drift": self._drift.rows.rows.copy(),
+            "drift": self._drift.errors.rows.copy(),
             "way_m": self.way_m.copy(),
             "place_ends": places.ends.rows.copy(),
             "place_poses": places.poses.rows.copy(),
@@ -166,7 +166,7 @@ class Loops:
         self.points = [part.copy() for part in np.split(state["points"], ends)] if len(self.path) else []
         self._motions.replace(state["motions"])
         self._drift.steps.replace(state["covariances"])
-        self._drift.rows.replace(state["drift"])
+        self._drift.errors.replace(state["drift"])
         self._way_m.replace(state["way_m"])
         self.places.ends.replace(state["place_ends"])
         self.places.poses.replace(state["place_poses"])
@@ -365,7 +365,7 @@ class Loops:
         around = np.flatnonzero(np.hypot(settled[:, 0] - at[0], settled[:, 1] - at[1]) < reach_m)
         if len(around) == 0:
             return total
-        best = int(around[np.trace(self._drift.rows.rows[around, :2, :2], axis1=1, axis2=2).argmin()])
+        best = int(around[np.trace(self._drift.errors.rows[around, :2, :2], axis1=1, axis2=2).argmin()])
         return self._drift.since(best, between(settled[best], at))
 
     def _recent(self) -> Points:

@@ -94,7 +94,7 @@ def _loops(past: Past, config: DpSlamConfig) -> dict[str, NDArray[Any]]:
     settled = int(np.searchsorted(way_m, way_m[-1] - config.loops.reach_m))
     found = (past.relation_ends, past.relation_poses, past.relation_informations)
     drift = Drift.retold(past.covariances, past.motions, *found)
-    drift.rows.rows[-1] = np.diag(ARRIVAL**2)
+    drift.errors.rows[-1] = np.diag(ARRIVAL**2)
     drawn = SettledMap()
     drawn.rebuild(points[:settled], past.map_t_laser[:settled])
     return {
@@ -108,7 +108,7 @@ def _loops(past: Past, config: DpSlamConfig) -> dict[str, NDArray[Any]]:
         "place_poses": past.relation_poses,
         "place_informations": past.relation_informations,
         "place_doubts": past.relation_doubts,
-        "drift": drift.rows.rows,
+        "drift": drift.errors.rows,
         "flags": np.array((True, 0, settled, 0)),
         "tried_m": np.array(way_m[-1]),
         "judge": Judge(config.loops).state(),

@@ -48,7 +48,7 @@ def posterior(path, place, information):
 
 def test_errors_add_up_along_the_way():
     drift, path = driven()
-    np.testing.assert_allclose(drift.rows.rows, posterior(path, PLACE, None), rtol=1e-4, atol=1e-8)
+    np.testing.assert_allclose(drift.errors.rows, posterior(path, PLACE, None), rtol=1e-4, atol=1e-8)
 
 
 @pytest.mark.parametrize("place", [0, PLACE, KEYS - 2])
@@ -59,12 +59,12 @@ def test_a_return_is_what_the_errors_of_all_key_scans_together_say(place):
     drift.close(place, path, information)
     expected = posterior(path, place, information)
     np.testing.assert_allclose(drift.now, expected[-1], rtol=1e-3, atol=5e-7)
-    np.testing.assert_allclose(drift.rows.rows[1:], expected[1:], rtol=1e-3, atol=5e-7)
+    np.testing.assert_allclose(drift.errors.rows[1:], expected[1:], rtol=1e-3, atol=5e-7)
 
 
 def test_who_comes_back_to_the_newest_ground_knows_no_more_of_the_oldest():
     drift, path = driven()
-    at_place = carried(drift.rows.rows[PLACE], between(path[PLACE], path[-1]))
+    at_place = carried(drift.errors.rows[PLACE], between(path[PLACE], path[-1]))
     drift.find(PLACE, between(path[PLACE], path[-1]), 1e9 * np.eye(3))
     np.testing.assert_allclose(drift.now, at_place, rtol=1e-3, atol=1e-8)
     assert np.linalg.eigvalsh(drift.since(PLACE, between(path[PLACE], path[-1]))).max() < 1e-6
@@ -96,5 +96,5 @@ def test_a_saved_path_has_the_drift_that_it_had():
     retold = Drift.retold(
         drift.steps.rows, np.tile(MOTION, (KEYS, 1)), ends[::-1], poses[::-1], np.stack((known, known))
     )
-    np.testing.assert_array_equal(retold.rows.rows, lived.rows.rows)
-    assert (np.linalg.det(lived.rows.rows[20:]) < np.linalg.det(drift.rows.rows[20:])).all()
+    np.testing.assert_array_equal(retold.errors.rows, lived.errors.rows)
+    assert (np.linalg.det(lived.errors.rows[20:]) < np.linalg.det(drift.errors.rows[20:])).all()
