@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -37,8 +38,9 @@ time.time_ns = lambda: _time_ns() + 3_600_000_000_000
 class Site:
     """Two machines, `pi` and `desk`, and one graph: the demo with some of its processes on the desk."""
 
-    def __init__(self, folder, away):
+    def __init__(self, folder, runs, away):
         self.folder = folder
+        self._runs = runs
         data = config.load_yaml(graph.find("demo"))
         data["hosts"] = ["pi", "desk"]
         for name in away:
@@ -56,7 +58,7 @@ class Site:
             keys.pair(file)
 
     def run_dir(self, host):
-        return self.folder / f"{host}-run" / "robot"
+        return self._runs / host / "robot"
 
     @contextlib.contextmanager
     def up(self, host):
@@ -64,7 +66,7 @@ class Site:
         environment = {
             **{key: value for key, value in os.environ.items() if not key.startswith("HALLWAY")},
             "PYTHONPATH": os.pathsep.join([str(ROOT), *[str(self.folder / "later")] * (host == "desk")]),
-            "HALLWAY_RUN": str(self.folder / f"{host}-run"),
+            "HALLWAY_RUN": str(self._runs / host),
             "HALLWAY_KEYS": str(self.folder / f"{host}-keys"),
         }
         command = [sys.executable, "-m", "runtime.cli", "up", "g.yaml", "--headless", "--host", host]
@@ -87,6 +89,13 @@ class Site:
         return (self.folder / f"{host}.log").read_text()
 
 
+@pytest.fixture
+def runs():
+    """A folder for the machines' sockets, whose paths have at most 107 characters."""
+    with tempfile.TemporaryDirectory(prefix="runs-") as folder:
+        yield Path(folder)
+
+
 def until(condition, within_s=60.0):
     end = time.monotonic() + within_s
     while not (value := condition()):
@@ -105,8 +114,8 @@ def number(health, name, key):
 
 
 @pytest.mark.timeout(300)
-def test_a_matcher_and_a_mapper_elsewhere_make_the_map_and_one_that_is_killed_goes_on_with_it(tmp_path):
-    site = Site(tmp_path, ("matcher", "mapper"))
+def test_a_matcher_and_a_mapper_elsewhere_make_the_map_and_one_that_is_killed_goes_on_with_it(tmp_path, runs):
+    site = Site(tmp_path, runs, ("matcher", "mapper"))
     # The desk first: it waits for the robot.
     with site.up("desk") as desk, site.up("pi") as pi, ZenohBus(links.visitor(site.run_dir("pi"))) as bus:
         health = Health(bus, "robot")
@@ -141,8 +150,8 @@ def test_a_matcher_and_a_mapper_elsewhere_make_the_map_and_one_that_is_killed_go
 
 
 @pytest.mark.timeout(300)
-def test_the_wheels_stop_when_the_machine_that_drives_and_matches_is_gone(tmp_path):
-    site = Site(tmp_path, ("matcher", "operator"))
+def test_the_wheels_stop_when_the_machine_that_drives_and_matches_is_gone(tmp_path, runs):
+    site = Site(tmp_path, runs, ("matcher", "operator"))
     with site.up("pi"), ZenohBus(links.visitor(site.run_dir("pi"))) as bus:
         health, truths = Health(bus, "robot"), Mailbox(10_000)
         bus.subscribe(key_of("truth"), truths.put)
