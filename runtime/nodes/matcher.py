@@ -23,6 +23,8 @@ PUBLISHES: tuple[str, ...] = ("odom", "match_points", "tf", "tf_static")
 _WAIT_S = 0.1
 KEEP_SCANS = 3
 """After a stall of the machine scans come in a burst; each is worked in as long as that is quick."""
+MOUNTED_NS = 1_000_000_000
+"""How often it is said where the laser sits: not every client asks for what was said before it came."""
 CHECKPOINT_NS = 500_000_000
 """So much at most is forgotten when the process is killed; the next one has its local map and its frame."""
 _LEVELS: dict[Tracking, Level] = {
@@ -57,8 +59,7 @@ def run(port: Port, config: Config) -> int:
     scans = Scans(port)
     with Rows(port.results_dir, MATCH_FILE, MATCH_COLUMNS) as rows:
         port.ready()
-        if config.laser_in_base is not None:
-            port.publish("tf_static", mounting.tf_static(port.clock.now_ns(), config.laser_in_base))
+        mounted_ns: int | None = None
         while not port.stopping:
             received = scans.next()
             if received is None:
@@ -73,6 +74,11 @@ def run(port: Port, config: Config) -> int:
                 port.report("error", f"scan refused: {error}")
                 continue
             publish(port, match, config.laser_in_base)
+            if config.laser_in_base is not None and (
+                mounted_ns is None or not 0 <= scan.stamp_ns - mounted_ns < MOUNTED_NS
+            ):
+                mounted_ns = scan.stamp_ns
+                port.publish("tf_static", mounting.tf_static(mounted_ns, config.laser_in_base))
             # After the answer is out: nobody waits for this.
             _note(rows, match)
             if checkpoint.due(scan.stamp_ns) and not checkpoint.write(scan.stamp_ns, (odometry, missed)):

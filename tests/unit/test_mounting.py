@@ -22,9 +22,9 @@ def pose_of(message):
     return pose_from_message(messages.Pose(transform.translation, transform.rotation))
 
 
-def run(config, folder):
+def run(config, folder, count=3):
     """The matcher on scans of a small room; its messages by topic."""
-    scans = [("scan", scan_to_message(scan)) for scan in matcher.rehearsal(3)]
+    scans = [("scan", scan_to_message(scan)) for scan in matcher.rehearsal(count)]
     port = ListPort(*scans, run_dir=folder, results_dir=folder)
     assert matcher.run(port, config) == 0
     return {name: [sent for topic, sent in port.published if topic == name] for name in matcher.PUBLISHES}
@@ -46,6 +46,12 @@ def test_with_a_mounting_the_chain_goes_through_base_link_to_the_same_laser(tmp_
         laser = se2.compose(pose_of(robot), pose_of(mounted))
         assert laser == pytest.approx(pose_from_message(motion.pose.pose), abs=1e-9)
     assert np.hypot(*pose_of(said["tf"][0])[:2]) == pytest.approx(np.hypot(*MOUNTED[:2]))
+
+
+def test_who_comes_late_and_asks_for_nothing_hears_of_the_mounting_within_a_second(tmp_path):
+    said = run(matcher.Config(laser_in_base=MOUNTED), tmp_path, count=25)
+    stamps = [one.transforms[0].header.stamp for one in said["tf_static"]]
+    assert np.diff([stamp.sec + 1e-9 * stamp.nanosec for stamp in stamps]) == pytest.approx([1.0, 1.0])
 
 
 @pytest.mark.parametrize("config", [matcher.Config, OfflineConfig])
