@@ -206,7 +206,7 @@ class Loops:
             fits = self._map.fits(points, fit.map_t_points)
             good = (fits > FITTING).sum() > 0.5 * max(int((fits >= 0.0).sum()), 1)
             if good and (np.abs(between(at, fit.map_t_points)) < MOST_CORRECTION).all():
-                near = self._seen_by(points[fits > FITTING], fit.map_t_points)
+                near = self._seen_by(points, fit.map_t_points)
                 if near is not None:
                     self._relate(near, fit.map_t_points, self._honest(fit.information, at[2]), DOUBT)
                 self._misses = 0
@@ -215,7 +215,7 @@ class Loops:
             self._judge.forget()
 
     def _seen_by(self, points: Points, map_t_laser: Pose) -> int | None:
-        """Return the settled key scan to which a place is tied by points that lie on walls there.
+        """Return the settled key scan to which a place is tied by those points that lie on walls there.
 
         Who merely stands near may have seen other walls, and drifted since. Of the stretch of way that was
         the first to see these it is the key scan nearest to the place.
@@ -224,7 +224,8 @@ class Loops:
             points: (N, 2) m, laser frame.
             map_t_laser: (3,) the place.
         """
-        owners = self._map.owners(points, map_t_laser)
+        on_walls = points[self._map.fits(points, map_t_laser) > FITTING]
+        owners = self._map.owners(on_walls, map_t_laser)
         if len(owners) == 0:
             return None
         way_m = self.way_m[: self._settled]
@@ -303,7 +304,7 @@ class Loops:
         if self._is_behind_walls(fit.map_t_points):
             return None
         share = len(self.points[-1]) / len(query)
-        near = self._seen_by(query[self._map.fits(query, fit.map_t_points) > FITTING], fit.map_t_points)
+        near = self._seen_by(query, fit.map_t_points)
         if near is None:
             return None
         known = self._relate(near, fit.map_t_points, share * fit.information, 0.0)
@@ -321,7 +322,7 @@ class Loops:
         if found is None:
             return None
         place = closing.carried(found.best.map_t_points, self.path)
-        near = self._seen_by(recent[self._map.fits(recent, place) > FITTING], place)
+        near = self._seen_by(recent, place)
         if near is None:
             return None
         finding = Finding(
