@@ -48,13 +48,18 @@ def search(points, origin, slots, tiles, prior, bounds, rule, population, values
     """
     size = population.shape[0]
     weight = prior[13]
+    columns = np.empty((2, points.shape[0]), np.float32)
+    for k in range(points.shape[0]):
+        columns[0, k], columns[1, k] = points[k, 0], points[k, 1]
+    samples = np.empty(points.shape[0], np.int32)
     scatter(population, bounds, state)
     for d in range(3):
         population[0, d] = prior[d]
     best = 0
     for i in range(size):
         x, y, a = population[i, 0], population[i, 1], population[i, 2]
-        values[i] = weight * sampled_score(points, origin, slots, tiles, x, y, a) + log_prior(prior, x, y, a)
+        score = sampled_score(columns, origin, slots, tiles, x, y, a, samples)
+        values[i] = weight * score + log_prior(prior, x, y, a)
         if values[i] > values[best]:
             best = i
     trials = np.empty((size, 3))
@@ -71,7 +76,7 @@ def search(points, origin, slots, tiles, prior, bounds, rule, population, values
             # The score cannot exceed one a point: a trial that the prior alone rules out is not evaluated.
             if bound + weight * points.shape[0] < values[i]:
                 continue
-            value = weight * sampled_score(points, origin, slots, tiles, x, y, a) + bound
+            value = weight * sampled_score(columns, origin, slots, tiles, x, y, a, samples) + bound
             if value >= values[i]:
                 values[i] = value
                 population[i, 0], population[i, 1], population[i, 2] = x, y, a

@@ -202,4 +202,6 @@ class Ndt:
     def sampled_score(self, points: Points, frame_t_points: Pose) -> float:
         """Rate points (N, 2) moved to a pose, by the raster that the search looks up."""
         x, y, yaw = frame_t_points
-        return float(sampled_score(points, self.origin, self.slots, self.tiles, x, y, yaw))
+        columns = np.ascontiguousarray(points.T, np.float32)
+        samples = np.empty(len(points), np.int32)
+        return float(sampled_score(columns, self.origin, self.slots, self.tiles, x, y, yaw, samples))

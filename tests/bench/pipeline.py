@@ -3,7 +3,8 @@
     python tests/bench/pipeline.py ../shared/data/exp1.dat ../shared/data/intel.clf.bz2
 
 Times are of the CPU of the one thread, so that a busy machine blurs them less; the first scans, which load
-compiled code, are left out. `Table 1` is the matcher with the paper's values of differential evolution.
+compiled code, are left out. Each stage goes through the log alone, as it has a process and a core of its own
+on a robot. `Table 1` is the matcher with the paper's values of differential evolution.
 """
 
 import argparse
@@ -11,17 +12,24 @@ import resource
 import sys
 import time
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from processing.dpslam.config import DpSlamConfig
+from processing.dpslam.filter import DpSlam
 from processing.evolution import TABLE_1
+from processing.motion import Motion
 from processing.odometry import LaserOdometry, OdometryConfig
 from processing.saliency import Resampler
-from processing.slam import Slam, SlamConfig
+from processing.scan import Beams, Scan
 from runtime.nodes.log_scans import scans_of
+
+Times = NDArray[np.float64]
 
 WARM_UP = 20
 
@@ -38,59 +46,68 @@ def main() -> None:
 
 def measure(log: Path, most: int) -> None:
     """Print the table of one log."""
-    default, paper = OdometryConfig(), OdometryConfig()
-    paper = replace(paper, matching=replace(paper.matching, search=TABLE_1))
-    slam = Slam(SlamConfig(odometry=default), 1)
-    table_1 = LaserOdometry(paper, 1)
-    resampler: Resampler | None = None
-    times_ms: dict[str, list[float]] = {
-        "resample": [],
-        "match, default": [],
-        "match, Table 1": [],
-        "map, key scans": [],
-        "map, all scans": [],
+    beams, scans = read(log, most)
+    default = OdometryConfig()
+    table_1 = replace(default, matching=replace(default.matching, search=TABLE_1))
+    resampling_ms, counts = resample(Resampler(default.resampling, beams), scans)
+    matching_ms, motions = match(default, scans)
+    mapping_ms, is_key = draw(DpSlam(DpSlamConfig(), 1), scans, motions)
+    times_ms = {
+        "resample": resampling_ms,
+        "match, default": matching_ms,
+        "match, Table 1": match(table_1, scans)[0],
+        "map, key scans": mapping_ms[is_key],
+        "map, all scans": mapping_ms,
     }
-    counts = []
-    beams, scans = scans_of(log)
-    began = time.thread_time()
-    beside = 0.0
-    for number, scan in enumerate(scans):
-        if number == most:
-            break
-        resampler = resampler or Resampler(default.resampling, beams)
-        at = [time.thread_time()]
-        resampler.points(scan, np.zeros(3))
-        means = resampler.means()
-        at.append(time.thread_time())
-        table_1.step(scan)
-        at.append(time.thread_time())
-        match = slam.odometry.step(scan)
-        at.append(time.thread_time())
-        mapped = slam.mapping.step(scan, match.motion)
-        at.append(time.thread_time())
-        beside += at[2] - at[0]
-        if number < WARM_UP:
-            continue
-        took_ms = 1e3 * np.diff(at)
-        counts.append(len(means))
-        times_ms["resample"].append(took_ms[0])
-        times_ms["match, Table 1"].append(took_ms[1])
-        times_ms["match, default"].append(took_ms[2])
-        times_ms["map, all scans"].append(took_ms[3])
-        if mapped.updated:
-            times_ms["map, key scans"].append(took_ms[3])
-    took_s = time.thread_time() - began - beside
-    lasted_s = (number + 1) * beams.period_s
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"{log.name}: {beams.count} beams, {np.median(counts):.0f} points after resampling (median)")
     print(f"  {'ms of CPU a scan':<18}{'p50':>8}{'p99':>8}{'max':>8}")
     for name, values in times_ms.items():
         p50, p99, most_ms = np.percentile(values, (50, 99, 100))
         print(f"  {name:<18}{p50:>8.2f}{p99:>8.2f}{most_ms:>8.1f}")
+    times_real = 1e3 * beams.period_s / (matching_ms.mean() + mapping_ms.mean())
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(
-        f"  matcher and mapper: {lasted_s / took_s:.0f} x real time on one core, peak {peak_mb:.0f} MB\n",
-        flush=True,
+        f"  matcher and mapper: {times_real:.0f} x real time on one core, peak {peak_mb:.0f} MB\n", flush=True
     )
+
+
+def read(log: Path, most: int) -> tuple[Beams, list[Scan]]:
+    """Return the beams and the first scans of a log."""
+    beams, scans = scans_of(log)
+    return beams, list(islice(scans, most))
+
+
+def resample(resampler: Resampler, scans: list[Scan]) -> tuple[Times, Times]:
+    """Return for each scan the time that resampling took, ms, and the number of points left."""
+    times_ms, counts = [], []
+    for scan in scans:
+        began = time.thread_time()
+        resampler.points(scan, np.zeros(3))
+        means = resampler.means()
+        times_ms.append(1e3 * (time.thread_time() - began))
+        counts.append(len(means))
+    return np.array(times_ms[WARM_UP:]), np.array(counts[WARM_UP:])
+
+
+def match(config: OdometryConfig, scans: list[Scan]) -> tuple[Times, list[Motion]]:
+    """Return the time that the odometry took for each scan, ms, and all motions."""
+    odometry = LaserOdometry(config, 1)
+    times_ms, motions = [], []
+    for scan in scans:
+        began = time.thread_time()
+        motions.append(odometry.step(scan).motion)
+        times_ms.append(1e3 * (time.thread_time() - began))
+    return np.array(times_ms[WARM_UP:]), motions
+
+
+def draw(mapping: DpSlam, scans: list[Scan], motions: list[Motion]) -> tuple[Times, NDArray[np.bool_]]:
+    """Return the time that the mapper took for each scan, ms, and which of them it drew."""
+    times_ms, drawn = [], []
+    for scan, motion in zip(scans, motions, strict=True):
+        began = time.thread_time()
+        drawn.append(mapping.step(scan, motion).updated)
+        times_ms.append(1e3 * (time.thread_time() - began))
+    return np.array(times_ms[WARM_UP:]), np.array(drawn[WARM_UP:])
 
 
 if __name__ == "__main__":
