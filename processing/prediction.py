@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.se2 import Pose, between, compose, invert
+from processing.se2 import Pose, between, compose, invert, wrap
 
 Twist = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -57,6 +57,12 @@ class Prior:
     """(3,) odometry frame."""
     information: Matrix
     """(3, 3) inverse covariance, on the axes of the odometry frame."""
+
+    def sigmas(self, pose: Pose) -> float:
+        """Return how far a pose (3,) is from the expected one."""
+        off = pose - self.pose
+        off[2] = wrap(off[2])
+        return float(np.sqrt(off @ self.information @ off))
 
 
 def exponential(twist: Twist) -> Pose:

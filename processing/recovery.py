@@ -19,6 +19,8 @@ from processing.prediction import ConstantVelocity, Prior, turned
 from processing.se2 import Pose, between
 from processing.sightlines import Sight, judge
 
+SURPRISE = 3.0
+"""Sigmas from the expected pose beyond which a scan must be one that can be seen there."""
 CELL_M = 0.1
 FIT_M = 0.12
 """Blur of the walls in the wide search."""
@@ -160,7 +162,7 @@ class Recovery:
         best = max(found, key=lambda matching: matching.score)
         sight = sight_of(points, best.pose, keys)
         least = AGAIN * usual * max(sight.known, LEAST_KNOWN)
-        if best.score < least or not sight.possible:
+        if best.score < least or not (sight.possible or self._is_expected(best.pose)):
             return None
         alike = near.score >= least and near.score >= NEARLY * best.score
         if self.since_s < MOMENT_S and self._seeing_s == 0.0 and alike:
@@ -169,6 +171,13 @@ class Recovery:
             return None
         rivals = [other for other in found if _apart(best.pose, other.pose)]
         return None if any(other.score > ALIKE * best.score for other in rivals) else best
+
+    def _is_expected(self, pose: Pose) -> bool:
+        """Whether the motion alone may have led to a pose (3,) since the last good scan."""
+        if self._seeing_s > 0.0:
+            return False
+        information = np.asarray(np.linalg.inv(self._covariance))
+        return Prior(self._held, turned(information, self._held[2])).sigmas(pose) <= SURPRISE
 
     def _places(
         self, points: Points, guess: Pose, matcher: Matcher, reference: Ndt, points_odom: Points

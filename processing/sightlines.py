@@ -16,6 +16,9 @@ from processing.sight_kernels import SLACK, SLACK_M, look_back, nearest, sector
 SECTORS = 360
 """Rays and walls are compared within sectors of a degree, and of two for earlier scans."""
 SIGHT_M = 10.0
+SOLID = 2
+"""A wall hides a ray when it stands before so many sectors on both sides, too: a chair's leg does not, nor
+the wall that the ray runs along."""
 THROUGH = 0.3
 """Share of the rays that may pass through walls of the map."""
 BEFORE = 0.1
@@ -32,6 +35,12 @@ class Sight:
     """Share of its points that lie where the earlier scans have looked."""
 
 
+def solid(nearest_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return from which distance on each sector's rays are hidden, given the nearest point of each (S,)."""
+    turns = range(-SOLID, SOLID + 1)
+    return np.asarray(np.max([np.roll(nearest_m, turn) for turn in turns], axis=0))
+
+
 def judge(
     points: Points, odom_t_laser: Pose, points_odom: Points, ends: NDArray[np.int64], poses: Pose
 ) -> Sight:
@@ -46,7 +55,7 @@ def judge(
     """
     wall_m, seen_m = np.empty(SECTORS), np.empty(SECTORS // 2)
     nearest(points_odom, 0, len(points_odom), odom_t_laser, SIGHT_M, wall_m)
-    wall_m = wall_m[[sector(x, y, SECTORS) for x, y in points]]
+    wall_m = solid(wall_m)[[sector(x, y, SECTORS) for x, y in points]]
     distance_m = np.hypot(points[:, 0], points[:, 1])
     walled = max(int(np.count_nonzero(np.isfinite(wall_m))), 1)
     through = int(np.count_nonzero(distance_m > wall_m + (SLACK_M + SLACK * wall_m))) / walled

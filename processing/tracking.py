@@ -15,8 +15,7 @@ from processing.local_map import KeyScan
 from processing.matching import Matcher, Matching
 from processing.ndt import Ndt, NdtConfig, Points
 from processing.prediction import ConstantVelocity, Prior
-from processing.recovery import LEAST_KNOWN, Recovery, sight_of
-from processing.se2 import Pose, wrap
+from processing.recovery import LEAST_KNOWN, SURPRISE, Recovery, sight_of
 
 FIT = 0.5
 """Share of the usual score from which a scan fits.
@@ -31,8 +30,6 @@ DOUBTFUL = 0.75
 """The same, where the map knows what the scan should see: something else moves."""
 DOUBT_S = 2.0
 """After so much time of it the map is wrong, not the scan."""
-SURPRISE = 3.0
-"""Sigmas from the expected pose beyond which a scan that fits worse must be one that can be seen there."""
 SHOCK = 6.0
 """Sigmas beyond which it must not be."""
 CONTINUOUS = 0.27
@@ -125,7 +122,7 @@ class Watch:
         self._calm = 0 if self._doubts else self._calm + 1
         if self.lost or self.trying or share < (FIT if self._misses == 0 else SURE):
             return False
-        sigmas = _sigmas(matching.pose, prior) if share < SURE else 0.0
+        sigmas = prior.sigmas(matching.pose) if share < SURE else 0.0
         if sigmas > SHOCK or (sigmas > SURPRISE and sight is not None and not sight.possible):
             return False
         self.take(matching)
@@ -155,7 +152,7 @@ class Watch:
         before = Ndt(self._ndt, capacity=1024)
         before.build(self._last)
         step = matcher.match(points, before, prior)
-        if step.score < CONTINUOUS or _sigmas(step.pose, prior) > SURPRISE:
+        if step.score < CONTINUOUS or prior.sigmas(step.pose) > SURPRISE:
             return None
         expected = Prior(step.pose, prior.information + step.information)
         matching = matcher.match(points, reference, expected)
@@ -210,10 +207,3 @@ class Watch:
     def _good(self, score: float) -> None:
         self._misses, self._recovery = 0, None
         self._usual = score if self._usual == 0.0 else self._usual + self._share * (score - self._usual)
-
-
-def _sigmas(pose: Pose, prior: Prior) -> float:
-    """Return how far a pose (3,) is from the expected one."""
-    off = pose - prior.pose
-    off[2] = wrap(off[2])
-    return float(np.sqrt(off @ prior.information @ off))

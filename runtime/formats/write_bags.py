@@ -35,7 +35,7 @@ def scan_messages(log: LaserLog) -> Iterator[McapMessage]:
     """Yield a log as the messages that its lasers would have published, with the holes that it has."""
     g = log.geometry
     arrived_ns = -1
-    for number, record in enumerate(log, start=1):
+    for record in log:
         arrived_ns = max(arrived_ns + 1, record.stamp_ns)
         message = LaserScan(
             header=header(record.stamp_ns, "laser"),
@@ -50,7 +50,7 @@ def scan_messages(log: LaserLog) -> Iterator[McapMessage]:
             intensities=np.zeros(0, dtype=np.float32),
         )
         channel = replace(SCAN_CHANNEL, metadata={"gid": f"{record.publisher:032x}"})
-        yield McapMessage(channel, record.sequence or number, arrived_ns, arrived_ns, encode(message))
+        yield McapMessage(channel, record.sequence, arrived_ns, arrived_ns, encode(message))
 
 
 def pose_messages(trajectory: Trajectory) -> Iterator[McapMessage]:
@@ -119,7 +119,7 @@ def write_ros1(path: Path, messages: Iterable[McapMessage]) -> tuple[int, dict[s
             scan = decode(message.payload, scan_type)
             # A ROS 1 header has a number of its own, which ROS 2 has dropped.
             old = types.types["std_msgs/msg/Header"](
-                seq=message.sequence, stamp=scan.header.stamp, frame_id=scan.header.frame_id
+                seq=message.sequence or count + 1, stamp=scan.header.stamp, frame_id=scan.header.frame_id
             )
             fields = {name: getattr(scan, name) for name in _SCAN_FIELDS}
             as_ros1 = types.types[scan_type](header=old, **fields)

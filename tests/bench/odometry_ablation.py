@@ -21,6 +21,7 @@ from processing.evaluation import nearest_stamps, relation_errors
 from processing.evolution import TABLE_1
 from processing.odometry import LaserOdometry, OdometryConfig
 from processing.se2 import between, compose, invert
+from runtime.nodes.log_scans import by_stamps
 
 PLACES = (
     "room",
@@ -85,9 +86,9 @@ def follow(course, config):
     """Poses (N, 3), how many scans were lost, and CPU time of each (ms)."""
     odometry = LaserOdometry(config, 1)
     poses, lost, took_ms = [], 0, []
-    for scan in course.scans:
+    for scan, missed in by_stamps(course.scans):
         began = time.thread_time()
-        match = odometry.step(scan)
+        match = odometry.step(scan, missed)
         took_ms.append(1e3 * (time.thread_time() - began))
         poses.append(match.motion.odom_t_laser)
         lost += match.state.value == "lost"

@@ -7,8 +7,9 @@ position and mean of rotation after the best rigid alignment. A map is good if i
 the course and no single error is above five times that bound or 0.3 m, whichever is greater.
 
 A variation of a log is another log with the same truth: `backwards` (the film from its end, in a mirror),
-`near` (a laser that sees 8 m), `halved` (every second ray), `thinned` (every second scan), `later` (from
-its middle on). Of a `floor`, and of a `campus`, every seed is another building.
+`near` (a laser that sees 8 m), `halved` (every second ray), `thinned` (every second scan), `holed`
+(twelve times a second is missing), `later` (from its middle on). Of a `floor`, and of a `campus`, every seed
+is another building.
 """
 
 import argparse
@@ -29,8 +30,11 @@ from processing.evaluation import absolute_errors, relation_errors
 from processing.scan import Scan
 from processing.se2 import Pose, compose, invert
 from processing.slam import Slam, SlamConfig
+from runtime.nodes.log_scans import by_stamps
 
 NEAR_M = 8.0
+HOLES, HOLE = 12, 5
+"""So many holes of so many scans, at random places."""
 LARGEST_SHARE, LARGEST_M = 5.0, 0.3
 """Beyond what a single error makes a map broken."""
 
@@ -159,6 +163,13 @@ def _thinned(drive: Drive) -> Drive:
     return _picked(drive, np.arange(0, len(drive.scans), 2))
 
 
+def _holed(drive: Drive) -> Drive:
+    there = np.ones(len(drive.scans), bool)
+    for first in np.random.default_rng(7).integers(50, len(there) - 50, HOLES):
+        there[first : first + HOLE] = False
+    return _picked(drive, np.flatnonzero(there))
+
+
 def _later(drive: Drive) -> Drive:
     return _picked(drive, np.arange(len(drive.scans) // 2, len(drive.scans)))
 
@@ -191,6 +202,8 @@ COURSES: dict[str, Callable[[int], Drive | None]] = {
     "intel halved": _log("intel", 0.035, _halved),
     "intel thinned": _log("intel", 0.035, _thinned),
     "fr079 thinned": _log("fr079", 0.06, _thinned),
+    "fr079 holed": _log("fr079", 0.06, _holed),
+    "intel holed": _log("intel", 0.035, _holed),
     "intel later": _log("intel", 0.035, _later),
     "fr079 later": _log("fr079", 0.06, _later),
     "demo": _simulated(world.demo_building, 0.1),
@@ -235,8 +248,8 @@ def measure(name: str, seed: int, settings: list[str]) -> dict | None:
     slam, states = Slam(_changed(settings), seed), {}
     odometry = []
     began = time.process_time()
-    for scan in drive.scans:
-        step = slam.step(scan)
+    for scan, missed in by_stamps(drive.scans):
+        step = slam.step(scan, missed)
         odometry.append(step.match.motion.odom_t_laser)
         states[step.match.state.value] = states.get(step.match.state.value, 0) + 1
     slam.finish()

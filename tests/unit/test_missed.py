@@ -1,8 +1,9 @@
 """How many scans never came: by the numbers of the laser, or by the stamps where there are none to go by."""
 
+import numpy as np
 import pytest
 
-from runtime.nodes.missed import MISSED_MAX, Missed
+from runtime.nodes.missed import MISSED_MAX, Missed, missing_before
 
 S = 10**9
 
@@ -26,3 +27,22 @@ def counts(*scans):
 )
 def test_what_never_came_is_counted(scans, expected):
     assert counts(*scans) == expected
+
+
+@pytest.mark.parametrize(
+    ("periods", "expected"),
+    [
+        ([0, 1, 2, 5, 6, 7], [0, 0, 0, 2, 0, 0]),
+        ([0, 1, 4, 4.1, 4.2, 5], [0, 0, 0, 0, 0, 0]),  # held up, and then in a burst
+        ([0, 1, 4, 2.9, 4, 5], [0, 0, 0, 0, 0, 0]),  # one stamp before its time
+        ([0, 1.4, 1.7, 3.3, 3.9, 5.2], [0, 0, 0, 0, 0, 0]),  # jitter
+        ([0, 1, 3, 4, 9, 10], [0, 0, 1, 0, 4, 0]),
+        ([0, 1, 2, 1000, 1001], [0, 0, 0, MISSED_MAX, 0]),
+        ([0, 1, 2, 1, 2, 3], [0, 0, 0, 0, 0, 0]),  # a clock set back
+        ([7], [0]),
+        ([], []),
+    ],
+)
+def test_in_a_log_without_numbers_the_stamps_around_a_hole_agree_on_it(periods, expected):
+    stamps_ns = np.array([round((100.0 + 0.1 * at) * S) for at in periods], np.int64)
+    assert missing_before(stamps_ns, 0.1).tolist() == expected

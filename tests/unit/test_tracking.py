@@ -176,6 +176,25 @@ def test_a_lost_laser_is_known_the_worse_the_longer_nobody_saw_it():
     assert spread[-1][0] == pytest.approx(2.0 * PredictionConfig().speed_m_s, rel=0.1)
 
 
+@pytest.mark.parametrize(("hole_s", "found"), [(1.3, True), (0.1, False)])
+def test_where_the_motion_may_have_led_in_a_hole_a_scan_is_found_that_the_map_has_walls_before(hole_s, found):
+    matcher, reference = Matcher(MatchingConfig(), 1), Ndt(NdtConfig())
+    walls = np.vstack((corner(), ring(1.0)))
+    reference.build(walls)
+    keys = [KeyScan(np.zeros(3), walls, np.zeros_like(walls))]
+    truth = np.array((0.3, -0.2, 0.5))
+    points = np.ascontiguousarray(transform(invert(truth), corner()))
+    usual = matcher.match(points, reference, Prior(truth, np.diag((1e4, 1e4, 1e4)))).score
+    filter_ = ConstantVelocity(PredictionConfig())
+    near = matcher.match(points, reference, filter_.advance(hole_s), np.array((0.02, 0.02, 0.02)))
+    place = Recovery(filter_, hole_s).look(points, near, matcher, reference, keys, usual, URG_S)
+    if not found:
+        assert place is None
+        return
+    assert place is not None
+    assert np.abs(place.pose - truth).max() < 0.02
+
+
 def test_a_hand_before_the_laser_and_a_few_points_are_no_view():
     ring = 0.08 * np.column_stack((np.cos(np.arange(100.0)), np.sin(np.arange(100.0))))
     assert covered(ring)
@@ -193,6 +212,13 @@ def test_a_place_behind_a_wall_is_none():
     here, wall = np.zeros(3), ring(2.0)
     assert sight(ring(2.0, 150), here, wall, here).possible
     assert not sight(ring(4.0, 150), here, wall, here).possible
+
+
+def test_thin_things_before_a_wall_do_not_hide_it():
+    here, wall = np.zeros(3), ring(4.0)
+    legs = ring(2.0, 77)  # three degrees apart
+    assert sight(ring(4.0, 150), here, np.vstack((wall, legs)), None).possible
+    assert not sight(ring(4.0, 150), here, np.vstack((wall, ring(2.0))), None).possible
 
 
 def test_a_place_whose_walls_stand_where_an_earlier_scan_looked_through_is_none():

@@ -18,6 +18,8 @@ from processing.scan import Beams, Scan, end_points
 from processing.se2 import Pose, between, compose, transform
 from processing.sharpness import sharpness
 from processing.slam import Slam, SlamConfig
+from runtime.formats.logs import open_log
+from runtime.nodes.log_scans import by_stamps, iterate
 
 BUILDINGS: dict[str, Callable[[], world.Building]] = {
     "corridor": world.corridor,
@@ -78,9 +80,6 @@ def drive(name: str, scans_max: int, seed: int) -> Drive:
 
 def logged(path: Path, scans_max: int) -> Drive:
     """Read a drive from a log of any kind that `hallway map` takes."""
-    from runtime.formats.logs import open_log
-    from runtime.nodes.log_scans import iterate
-
     scans = [scan for scan, _ in zip(iterate(open_log(path)), range(scans_max), strict=False)]
     return Drive(path.name.split(".")[0], scans, None)
 
@@ -97,8 +96,8 @@ def follow(drive: Drive, config: OdometryConfig, seed: int) -> Followed:
     odometry = LaserOdometry(config, seed)
     poses, hits, states = [], [], []
     began = time.process_time()
-    for scan in drive.scans:
-        match = odometry.step(scan)
+    for scan, missed in by_stamps(drive.scans):
+        match = odometry.step(scan, missed)
         poses.append(match.motion.odom_t_laser)
         hits.append(transform(match.motion.odom_t_laser, match.points_laser))
         states.append(match.state.name)
@@ -111,8 +110,8 @@ def map_it(drive: Drive, config: SlamConfig, seed: int) -> Followed:
     slam = Slam(config, seed)
     points, states = [], []
     began = time.process_time()
-    for scan in drive.scans:
-        step = slam.step(scan)
+    for scan, missed in by_stamps(drive.scans):
+        step = slam.step(scan, missed)
         points.append(step.match.points_laser)
         states.append(step.match.state.name)
     took_s = time.process_time() - began
