@@ -31,6 +31,8 @@ class Sight:
 
     possible: bool
     """Whether it can have been seen from there."""
+    free: bool
+    """Whether, besides, few of its rays pass anything that the map has, be it as thin as a chair's leg."""
     known: float
     """Share of its points that lie where the earlier scans have looked."""
 
@@ -55,12 +57,18 @@ def judge(
     """
     wall_m, seen_m = np.empty(SECTORS), np.empty(SECTORS // 2)
     nearest(points_odom, 0, len(points_odom), odom_t_laser, SIGHT_M, wall_m)
-    wall_m = solid(wall_m)[[sector(x, y, SECTORS) for x, y in points]]
+    sectors = [sector(x, y, SECTORS) for x, y in points]
     distance_m = np.hypot(points[:, 0], points[:, 1])
-    walled = max(int(np.count_nonzero(np.isfinite(wall_m))), 1)
-    through = int(np.count_nonzero(distance_m > wall_m + (SLACK_M + SLACK * wall_m))) / walled
+    through, through_solid = (_through(distance_m, m[sectors]) for m in (wall_m, solid(wall_m)))
     known, counts = np.empty(len(points), np.uint8), np.zeros(2, np.int64)
     placed = np.ascontiguousarray(transform(odom_t_laser, points))
     look_back(placed, points_odom, ends, poses, SIGHT_M, seen_m, known, counts)
     before, looks = counts.tolist()
-    return Sight(through <= THROUGH and before <= BEFORE * max(looks, 1), float(known.mean()))
+    possible = through_solid <= THROUGH and before <= BEFORE * max(looks, 1)
+    return Sight(possible, possible and through <= THROUGH, float(known.mean()))
+
+
+def _through(distance_m: NDArray[np.float64], wall_m: NDArray[np.float64]) -> float:
+    """Return which share of the rays (N,) that have a wall on their way end behind it."""
+    walled = max(int(np.count_nonzero(np.isfinite(wall_m))), 1)
+    return int(np.count_nonzero(distance_m > wall_m + (SLACK_M + SLACK * wall_m))) / walled

@@ -123,7 +123,7 @@ class Watch:
         if self.lost or self.trying or share < (FIT if self._misses == 0 else SURE):
             return False
         sigmas = prior.sigmas(matching.pose) if share < SURE else 0.0
-        if sigmas > SHOCK or (sigmas > SURPRISE and sight is not None and not sight.possible):
+        if sigmas > SHOCK or (sigmas > SURPRISE and sight is not None and not sight.free):
             return False
         self.take(matching)
         return True

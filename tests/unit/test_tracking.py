@@ -217,7 +217,9 @@ def test_a_place_behind_a_wall_is_none():
 def test_thin_things_before_a_wall_do_not_hide_it():
     here, wall = np.zeros(3), ring(4.0)
     legs = ring(2.0, 77)  # three degrees apart
-    assert sight(ring(4.0, 150), here, np.vstack((wall, legs)), None).possible
+    among_legs = sight(ring(4.0, 150), here, np.vstack((wall, legs)), None)
+    assert among_legs.possible
+    assert not among_legs.free
     assert not sight(ring(4.0, 150), here, np.vstack((wall, ring(2.0))), None).possible
 
 
