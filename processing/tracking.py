@@ -23,7 +23,7 @@ FIT = 0.5
 On real logs one scan in some thousands scores less where it is; carried elsewhere, most score under 0.3.
 """
 SURE = 0.75
-"""The same after a scan that did not fit: the laser may be elsewhere."""
+"""The same after a scan that did not fit, or a hole: the laser may be elsewhere."""
 STRAIGHTER = 1.25
 """By so much better a bent scan fits when it is set straight."""
 DOUBTFUL = 0.75
@@ -120,7 +120,8 @@ class Watch:
         self._doubts = self._doubts + 1 if explained < DOUBTFUL else 0
         self.doubtful = 0 < self._doubts <= self._most_doubts
         self._calm = 0 if self._doubts else self._calm + 1
-        if self.lost or self.trying or share < (FIT if self._misses == 0 else SURE):
+        calm = self._misses == 0 and self._duration_s <= LOST_S
+        if self.lost or self.trying or share < (FIT if calm else SURE):
             return False
         sigmas = prior.sigmas(matching.pose) if share < SURE else 0.0
         if sigmas > SHOCK or (sigmas > SURPRISE and sight is not None and not sight.free):

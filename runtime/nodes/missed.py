@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-MISSED_MAX = 50
-"""After five seconds without a scan the last velocity tells nothing more."""
+HOLE_S = 5.0
+"""Longer holes count as so long: the last velocity tells nothing more."""
 BESIDE = 10
 """So many stamps on both sides tell a hole from a scan that was only written down late."""
 
@@ -17,7 +17,7 @@ class Missed:
         self._sequence, self._stamp_ns = -1, 0
 
     def before(self, publisher: object, sequence: int, stamp_ns: int, period_s: float) -> int:
-        """Take the next scan; return how many are missing before it, 50 at most.
+        """Take the next scan; return how many are missing before it, those of five seconds at most.
 
         Args:
             publisher: Whatever names it.
@@ -32,11 +32,11 @@ class Missed:
         else:
             missed = round((stamp_ns - self._stamp_ns) / (period_s * 1e9)) - 1
         self._publisher, self._sequence, self._stamp_ns = publisher, sequence, stamp_ns
-        return min(max(missed, 0), MISSED_MAX)
+        return min(max(missed, 0), round(HOLE_S / period_s))
 
 
 def missing_before(stamps_ns: NDArray[np.int64], period_s: float) -> NDArray[np.int64]:
-    """Count the scans that never came into a log without numbers: before each one, 50 at most.
+    """Count the scans that never came into a log without numbers: before each, of five seconds at most.
 
     A scan that never came moves the stamps of all that follow it; one that was held up moves its own, and
     those that wait behind it are stamped in a burst. So a hole is what all later stamps agree on, and no
@@ -55,5 +55,5 @@ def missing_before(stamps_ns: NDArray[np.int64], period_s: float) -> NDArray[np.
     windows = np.lib.stride_tricks.sliding_window_view
     later = windows(np.concatenate((late[1:], beside)), BESIDE + 1).min(axis=1)
     earlier = windows(np.concatenate((-beside, late[:-1])), BESIDE + 1).max(axis=1)
-    missing[1:] = np.clip(np.rint(later - earlier), 0, MISSED_MAX)
+    missing[1:] = np.clip(np.rint(later - earlier), 0, round(HOLE_S / period_s))
     return missing

@@ -127,6 +127,16 @@ def test_after_a_bad_scan_the_next_must_fit_better():
     assert accepted(watch, middling)
 
 
+def test_after_a_hole_a_scan_must_fit_better():
+    watch, filter_ = watch_of(URG_S), ConstantVelocity(PredictionConfig())
+    middling = matching(0.5 * (FIT + SURE) * 0.6)
+    watch.expect(filter_, 3 * URG_S)
+    assert accepted(watch, middling)
+    watch.expect(filter_, 1.0)
+    assert not accepted(watch, middling)
+    assert accepted(watch, matching(0.6))
+
+
 def test_a_scan_that_fits_worse_far_from_where_it_was_expected_must_be_possible_there():
     middling = matching(0.5 * (FIT + SURE) * 0.6)
     assert accepted(watch_of(URG_S), middling, off_m=0.1)
