@@ -240,8 +240,6 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> list[int]:
     asked: list[int] = []
 
     def on_signal(number: int, frame: FrameType | None) -> None:
-        if len(asked) > 1:
-            live.supervisor.close()
         asked.append(number)
 
     before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
@@ -251,6 +249,8 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> list[int]:
     try:
         while not live.supervisor.over:
             live.step()
+            if len(asked) > 2:  # here, not in the handler: that may come in the middle of looking
+                live.supervisor.close()
             now = time.monotonic()
             if now - notified > _NOTIFY_S:
                 notified = now
