@@ -162,6 +162,7 @@ def _run(args: argparse.Namespace, file: Path) -> int | None:
             live.close()
         code = _exit_code(live, signal.SIGINT in asked)
         report = _save(live, config, out, args, code)
+    screen.check_read()
     _say(report, args.json)
     # systemd, whose patience has ended with this run, begins a new one itself.
     anew = live.outlived and code == 0 and not asked and not is_watched()
@@ -262,7 +263,7 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> list[int]:
                 running_since = now
                 screen.say(f"all processes run after {live.elapsed_s:.1f} s")
             over = duration_s is not None and running_since is not None and now - running_since > duration_s
-            if asked or over or live.supervisor.idle:
+            if asked or over or live.supervisor.idle or screen.unread:
                 live.supervisor.stop()
             if live.supervisor.stopping and not ends:
                 ends = True  # whatever the reason: saving takes longer than a watchdog waits

@@ -165,7 +165,7 @@ def test_systemd_hears_that_a_run_ends_whoever_ends_it(tmp_path, monkeypatch):
         line.bind(str(tmp_path / "notify"))
         line.setblocking(False)
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
-        screen = SimpleNamespace(say=lambda text: None, show=lambda status, elapsed_s: None)
+        screen = SimpleNamespace(unread=False, say=lambda text: None, show=lambda *what: None)
         assert up._drive(Ending(), screen, None) == []
         told = []
         with contextlib.suppress(BlockingIOError):
