@@ -259,13 +259,13 @@ def collect(results_dir: Path, nodes: list[str], run: Mapping[str, Any], config:
             continue
         for file in sorted(folder.iterdir()):
             if file.name == "metrics.json":
-                metrics |= json.loads(file.read_text(encoding="utf-8"))
+                metrics |= _left_in(file)
                 file.unlink()
             elif file.name == RUN_FILE:
-                about |= json.loads(file.read_text(encoding="utf-8"))
+                about |= _left_in(file)
                 file.unlink()
             elif file.name == "latency.json":
-                latency = json.loads(file.read_text(encoding="utf-8"))
+                latency = _left_in(file)
                 known = metrics.setdefault("latency", {})
                 hops = known.get("hops", {}) | latency.get("hops", {})
                 known |= {**latency, "hops": hops}
@@ -280,3 +280,13 @@ def collect(results_dir: Path, nodes: list[str], run: Mapping[str, Any], config:
     (results_dir / "metrics.json").write_text(to_json(metrics), encoding="utf-8")
     (results_dir / RUN_FILE).write_text(to_json({**about, **run}), encoding="utf-8")
     return metrics
+
+
+def _left_in(file: Path) -> dict[str, Any]:
+    """Return what a node wrote; nothing where it was ended meanwhile, which costs no other its results."""
+    try:
+        values = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError:
+        logging.getLogger(SUPERVISOR).warning("%s: is cut off, and left out of the results", file)
+        return {}
+    return dict(values)
