@@ -26,6 +26,8 @@ _LOOP_FAILURES = 6  # so many failures without a steady time in between: a crash
 _SPARE_AFTER_S = 3.0
 _LOG_BYTES = 2_000_000
 _LOG_FILES = 3
+_REQUESTS = (signal.SIGINT, signal.SIGTERM)
+"""Ways to ask a process to end; one that does not work yet just does."""
 _PREFIX = re.compile(r"^\S+ [A-Z]+ +[\w.]+: ")
 
 
@@ -219,7 +221,7 @@ class Child:
         if self.state is State.STOPPING:
             self.exit_code = max(code, 0) if not self._blamed else 1
             self.enter(State.ENDED)
-            if code == 0:
+            if code == 0 or (-code in _REQUESTS and not self._blamed):
                 return "ended"
             self.reasons.append(self._reason(code))
             return self.reasons[-1]

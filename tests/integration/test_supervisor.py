@@ -334,6 +334,15 @@ def test_who_depends_on_others_is_asked_to_end_before_them(scene):
     assert ended == ["source", "sink"]
 
 
+def test_a_node_that_is_asked_to_end_before_it_works_just_ends(scene):
+    stage = scene({"a": f"import signal; signal.signal(signal.SIGINT, signal.SIG_DFL); {SLEEPS}"})
+    stage.until(lambda: stage.state("a") is State.STARTING)
+    stage.supervisor.stop()
+    stage.until(lambda: stage.supervisor.over)
+    assert stage.said("a") == ["starts", "ended"]
+    assert not stage.children["a"].reasons
+
+
 def test_a_node_that_has_much_to_save_has_the_time_it_was_given(scene):
     slow = (
         "import signal, sys, time\nsignal.signal(signal.SIGINT, lambda *_: (time.sleep(2.2), sys.exit(0)))\n"
