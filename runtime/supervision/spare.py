@@ -46,7 +46,7 @@ class Spare:
                 line.write(b"go\n")
             # It may still import, and on a busy machine it would for ever: it cannot read that it is called.
             realtime.step_forward(process.pid, like=0)
-        except (BrokenPipeError, ProcessLookupError):
+        except OSError:  # it has gone, or the kernel does not let it rise: begin at the beginning
             self.dismiss()
             return None
         self._process = None

@@ -324,6 +324,23 @@ def test_a_spare_process_that_is_called_while_it_imports_does_not_stand_aside_an
     assert os.sched_getscheduler(spare) == os.sched_getscheduler(0)
 
 
+def test_a_spare_that_may_not_rise_again_gives_way_to_a_process_from_the_beginning(scene, monkeypatch):
+    def refuse(pid, like):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr("runtime.supervision.child._SPARE_AFTER_S", 0.0)
+    monkeypatch.setattr("runtime.supervision.spare.realtime.step_forward", refuse)
+    stage = scene({"a": SPARE}, a=NodeSpec(module="m", spare=True))
+    stage.ready = {"a"}
+    stage.until(lambda: stage.children["a"]._spare.pid)
+    stage.ready = set()
+    spare = stage.children["a"]._spare.pid
+    os.kill(stage.children["a"].pid, signal.SIGKILL)
+    stage.until(lambda: stage.children["a"].restarts == 1 and stage.state("a") is State.STARTING)
+    assert stage.children["a"].pid != spare
+    stage.until(lambda: not alive(spare))
+
+
 def test_who_depends_on_others_is_asked_to_end_before_them(scene):
     stage = scene({"source": POLITE, "sink": POLITE}, source=NodeSpec(module="m", after=("sink",)))
     stage.ready = {"sink", "source"}
