@@ -69,7 +69,7 @@ class Supervisor:
             name: Child(name, spec, commands[name], logs / f"{name}.log", environment)
             for name, spec in specs.items()
         }
-        self._met: set[str] = set()
+        self._elsewhere, self._met = set(elsewhere), set[str]()
         self.stopping = False
         self._stop_began = 0.0
         self._rotated = 0.0
@@ -121,7 +121,7 @@ class Supervisor:
             ready: Names of the processes that say they are ready.
             silent: Names of the processes that have not been heard of for too long.
         """
-        self._met |= set(ready) - self.children.keys()
+        self._met |= self._elsewhere.intersection(ready)
         if self._is_deaf():
             silent = ()
         for child in self.children.values():

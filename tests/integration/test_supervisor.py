@@ -115,9 +115,10 @@ def test_what_runs_elsewhere_is_waited_for_once_and_neither_started_nor_missed(s
     stage.ready = {"d"}
     stage.until(lambda: stage.supervisor.all_here)  # the robot is up, and waits for another machine
     assert not stage.supervisor.all_ready
-    stage.ready = {"a", "d"}
+    stage.ready = {"a", "d", "teleop_1"}
     stage.until(lambda: stage.state("b") is State.STARTING)
     assert not stage.supervisor.all_here
+    assert stage.supervisor._met == {"a"}  # guests come and go for weeks
     stage.ready, stage.silent = {"b", "c", "d"}, {"a"}
     stage.until(lambda: stage.supervisor.all_ready)
     assert stage.supervisor.all_here
