@@ -353,8 +353,9 @@ def test_who_depends_on_others_is_asked_to_end_before_them(scene):
 
 
 def test_a_node_that_is_asked_to_end_before_it_works_just_ends(scene):
-    stage = scene({"a": f"import signal; signal.signal(signal.SIGINT, signal.SIG_DFL); {SLEEPS}"})
-    stage.until(lambda: stage.state("a") is State.STARTING)
+    text = "import signal; signal.signal(signal.SIGINT, signal.SIG_DFL); print('up', flush=True); "
+    stage = scene({"a": text + SLEEPS})
+    stage.until(lambda: stage.wrote("a", "up\n"))
     stage.supervisor.stop()
     stage.until(lambda: stage.supervisor.over)
     assert stage.said("a") == ["starts", "ended"]
