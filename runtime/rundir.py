@@ -9,6 +9,7 @@ import contextlib
 import fcntl
 import os
 import shutil
+import socket
 import stat
 import time
 from collections.abc import Iterator
@@ -19,6 +20,7 @@ from runtime.errors import ConfigError, HallwayError
 VARIABLE = "HALLWAY_RUN"
 _SYSTEM = Path("/run")
 GONE_S = 2.0
+_LOOK_S = 0.3
 
 
 class NotRunningError(HallwayError):
@@ -61,8 +63,16 @@ def _places(robot: str) -> list[Path]:
 
 
 def _listens(place: Path) -> bool:
-    # The question of `Path` raises where the place is somebody else's.
-    return os.path.exists(place / "hub.sock")
+    """Whether a hub is behind the socket; a machine that killed it left the file behind."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
+        line.setblocking(False)
+        try:
+            line.connect(str(place / "hub.sock"))
+        except BlockingIOError:  # so many come to it that it does not keep up
+            return True
+        except OSError:  # nobody, or somebody else's place
+            return False
+    return True
 
 
 class Presence:
@@ -74,14 +84,18 @@ class Presence:
     def __init__(self, robot: str) -> None:
         self._robot = robot
         self._here = is_running(robot)
-        self._seen = time.monotonic()
+        self._seen = self._looked = time.monotonic()
 
     @property
     def gone(self) -> bool:
-        """Whether it was here, and has not been for some seconds."""
+        """Whether it was here, and has not been for some seconds; may be asked at any rate."""
         now = time.monotonic()
-        if not self._here or is_running(self._robot):
+        if not self._here:
             self._seen = now
+        elif now - self._looked > _LOOK_S:
+            self._looked = now
+            if is_running(self._robot):
+                self._seen = now
         return now - self._seen > GONE_S
 
 
@@ -94,12 +108,12 @@ def running(robot: str) -> Path:
     path = run_dir(robot)
     if _listens(path):
         return path
-    others = [socket.parent.name for socket in base_dir().glob("*/hub.sock")]
+    others = [place.name for place in _robots_in(base_dir(), "*")]
     if not os.environ.get(VARIABLE):
         boot = boot_dir(robot)
         if boot.is_dir() and not os.access(boot, os.X_OK):
             raise NotRunningError(f"robot {robot!r} was started at boot and belongs to user {boot.owner()!r}")
-        others += [socket.parent.name for socket in _SYSTEM.glob(f"{boot_name('*')}/*/hub.sock")]
+        others += [place.name for place in _robots_in(_SYSTEM, f"{boot_name('*')}/*")]
     way_out = (
         f"running: {', '.join(sorted(others))}; say which with --robot"
         if others
@@ -107,6 +121,10 @@ def running(robot: str) -> Path:
         "or pair with one elsewhere with `hallway keys pair FILE`"
     )
     raise NotRunningError(f"robot {robot!r} does not run here, {way_out}")
+
+
+def _robots_in(folder: Path, pattern: str) -> list[Path]:
+    return [found.parent for found in folder.glob(f"{pattern}/hub.sock") if _listens(found.parent)]
 
 
 def private(robot: str) -> Path:
@@ -146,7 +164,9 @@ def claimed(robot: str) -> Iterator[Path]:
         os.pwrite(lock, f"{os.getpid()}\n".encode(), 0)
         for old in path.iterdir():  # left behind by a run that was killed
             shutil.rmtree(old) if old.is_dir() and not old.is_symlink() else old.unlink()
-        yield path
-        shutil.rmtree(path, ignore_errors=True)
+        try:
+            yield path
+        finally:
+            shutil.rmtree(path, ignore_errors=True)
     finally:
         os.close(lock)

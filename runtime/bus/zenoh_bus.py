@@ -6,6 +6,7 @@ session is closed explicitly; a latched topic is an advanced publisher with a ca
 """
 
 import json
+import re
 import time
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -25,6 +26,10 @@ _PRIORITIES = {
     Urgency.DETAIL: zenoh.Priority.DATA_LOW,
     Urgency.BULK: zenoh.Priority.BACKGROUND,
 }
+
+
+_PLACE = re.compile(r" at \S+\.rs:\d+\.?")
+"""Where in its own source zenoh found an error: of no use to who reads it."""
 
 
 class BusError(HallwayError):
@@ -81,7 +86,8 @@ class ZenohBus:
             self._session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
         except zenoh.ZError as error:
             where = ", ".join(config.get("connect", {}).get("endpoints", [])) or "the bus"
-            raise BusError(f"{where}: cannot be reached: {str(error).splitlines()[0]}") from error
+            why = _PLACE.sub("", str(error).splitlines()[0])
+            raise BusError(f"{where}: cannot be reached: {why}") from error
         self._zid = str(self._session.zid())
         # A token that nobody holds is collected, and with it its process seems to be gone.
         self._declared: list[_Declared] = []

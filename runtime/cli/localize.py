@@ -24,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the trajectory: 0 done, 4 scans missing, 5 not found or lost at the end, 130 after Ctrl-C."""
     from runtime.cli.compiling import compile_here
+    from runtime.cli.gaps import print_gaps
     from runtime.config import plain
     from runtime.formats.logs import open_log
     from runtime.reports.results import check_free, save
@@ -47,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
         where = Whereabouts(progress.say, log.geometry.period_s)
         feed(offline, log, progress, stopping, where)
     report = {"session": str(saved.session.path), "scans": progress.done, **where.report()}
+    report |= {"gaps": list(log.gaps), "losses": list(log.losses)}
     interrupted = progress.done < len(log)
     if offline.found:
         save(out, offline.result(log, {"interrupted": True} if interrupted else None))
@@ -54,6 +56,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(plain(report)))
     elif offline.found:
+        print_gaps("not in the recording", log.gaps)
         print(f"{progress.done} scans; {out}/: trajectory.tum on the saved map, map.png with the way")
     if not offline.found:
         print(

@@ -81,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
     report |= where.report() if where else {}
     report |= {"seconds": round(progress.elapsed_s, 3), "scans_per_s": round(progress.scans_per_s, 1)}
     report["times_real_time"] = round(progress.times_real_time, 2)
+    report |= {"gaps": list(log.gaps), "losses": list(log.losses)}
     _say(report, args.json)
     if interrupted:
         return 130
@@ -150,6 +151,7 @@ def _save(
 
 
 def _say(report: dict[str, Any], as_json: bool) -> None:
+    from runtime.cli.gaps import print_gaps
     from runtime.config import plain
 
     if as_json:
@@ -160,6 +162,7 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
         f"{report['scans']} scans in {report['seconds']:.1f} s ({report['times_real_time']:.1f} x real time),"
         f" {report['way_m']:.1f} m driven, {report['known_m2']:.0f} m2 mapped; {states}"
     )
+    print_gaps("not in the recording", report["gaps"])
     print(f"{report['out']}/: map.png, report.html, map.pgm + map.yaml, trajectory.tum, session.mcap")
 
 

@@ -3,6 +3,8 @@
 import re
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from types import TracebackType
 from typing import Any
@@ -26,6 +28,8 @@ class Screen:
 
     def __init__(self, quiet: bool = False) -> None:
         self._quiet = quiet
+        self.unread = False
+        """Whether nobody reads any more: the window was closed, or the program behind the pipe has ended."""
         self._live: Any = None
         self._shown = 0.0
         self._hops_ms: dict[str, dict[str, float]] = {}
@@ -51,10 +55,16 @@ class Screen:
         """Print a line that stays; an ordinary one only where no table shows the same."""
         if self._quiet or (ordinary and self._live is not None):
             return
-        if self._live is not None:
-            self._live.console.print(line, highlight=False, markup=False)
-        else:
-            print(line, flush=True)
+        with self._while_read():
+            if self._live is not None:
+                self._live.console.print(line, highlight=False, markup=False)
+            else:
+                print(line, flush=True)
+
+    def check_read(self) -> None:
+        """Raise BrokenPipeError if nobody reads any more: it ends a command without a word."""
+        if self.unread:
+            raise BrokenPipeError
 
     def show(self, status: Status, elapsed_s: float) -> None:
         """Show the present status, if it is time to; hops and map stay when who measured them has left."""
@@ -65,11 +75,19 @@ class Screen:
         self._hops_ms = status.hops_ms or self._hops_ms
         self._map_size = status.map_size or self._map_size
         status = replace(status, hops_ms=self._hops_ms, map_size=self._map_size)
-        if self._live is not None:
-            self._live.update(table(status, elapsed_s), refresh=True)
-        else:
-            line = " | ".join((status.line(), *self._news(status.troubles())))
-            print(f"{elapsed_s:6.0f} s  {line}", flush=True)
+        with self._while_read():
+            if self._live is not None:
+                self._live.update(table(status, elapsed_s), refresh=True)
+            else:
+                line = " | ".join((status.line(), *self._news(status.troubles())))
+                print(f"{elapsed_s:6.0f} s  {line}", flush=True)
+
+    @contextmanager
+    def _while_read(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError:  # no reason to lose what a robot has not saved yet
+            self._quiet = self.unread = True
 
     def _news(self, troubles: dict[str, str]) -> list[str]:
         """Return what is wrong: in words when it is new, later how often it was so, whatever its figures."""

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         with Screen(quiet=args.json) as screen:
             presence = rundir.Presence(args.robot)
             offset, ask_s = None, began
-            while not presence.gone:
+            while not presence.gone and not screen.unread:
                 if time.monotonic() >= ask_s:
                     offset = measured(bus, args.robot, Clock())
                     ask_s = time.monotonic() + (AGAIN_S if offset else _LISTEN_S)
@@ -53,6 +53,7 @@ def run(args: argparse.Namespace) -> int:
                 if args.json:
                     print(json.dumps(status.to_json()), flush=True)
                 time.sleep(1.0 if args.json else 0.25)
+        screen.check_read()
         print(f"robot {args.robot!r} has ended")
         return 0
 

@@ -78,14 +78,22 @@ def run(args: argparse.Namespace) -> int:
     if args.on is None:
         if args.extend:
             raise ConfigError("--extend: needs --on SESSION, the map to go on with")
-        return _run(args, file)
+        return _runs(args, file)
     if args.service is not None:
         raise ConfigError("--on with --service: give the mapper of a graph the session, and install that")
     with tempfile.TemporaryDirectory(prefix="hallway-") as folder:
-        return _run(args, on_map(file, args.on, args.extend, Path(folder)))
+        return _runs(args, on_map(file, args.on, args.extend, Path(folder)))
 
 
-def _run(args: argparse.Namespace, file: Path) -> int:
+def _runs(args: argparse.Namespace, file: Path) -> int:
+    """Run the graph, and again as often as the robot, on another machine, has begun a new run meanwhile."""
+    while (code := _run(args, file)) is None:
+        pass
+    return code
+
+
+def _run(args: argparse.Namespace, file: Path) -> int | None:
+    """Run the graph once; None if that is to begin anew."""
     from dataclasses import replace
 
     from runtime import graph as graphs
@@ -95,6 +103,7 @@ def _run(args: argparse.Namespace, file: Path) -> int:
     from runtime.cli.screen import Screen
     from runtime.config import to_yaml
     from runtime.errors import ConfigError
+    from runtime.process.realtime import is_watched
     from runtime.reports.results import check_free
     from runtime.supervision import machines
     from runtime.supervision.run import Run
@@ -148,13 +157,16 @@ def _run(args: argparse.Namespace, file: Path) -> int:
             ),
         )
         try:
-            interrupted = _drive(live, screen, args.duration)
+            asked = _drive(live, screen, args.duration)
         finally:
             live.close()
-        code = _exit_code(live, interrupted)
+        code = _exit_code(live, signal.SIGINT in asked)
         report = _save(live, config, out, args, code)
+    screen.check_read()
     _say(report, args.json)
-    return code
+    # systemd, whose patience has ended with this run, begins a new one itself.
+    anew = live.outlived and code == 0 and not asked and not is_watched()
+    return None if anew else code
 
 
 def _install(file: Path, robot: str, args: argparse.Namespace, machine: "Machine") -> int:
@@ -222,24 +234,24 @@ def _empty(out: Path) -> None:
     (out / RUN_FILE).write_text(to_json({"finished": False}), encoding="utf-8")
 
 
-def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
-    """Turn until everything has ended; return whether a person ended it."""
+def _drive(live: "Run", screen: Any, duration_s: float | None) -> list[int]:
+    """Turn until everything has ended; return the signals that came."""
     from runtime.process.realtime import notify_init
 
     asked: list[int] = []
 
     def on_signal(number: int, frame: FrameType | None) -> None:
-        if len(asked) > 1:
-            live.supervisor.close()
         asked.append(number)
 
     before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     running_since: float | None = None
-    is_up = False
+    is_up = ends = False
     notified = told = 0.0
     try:
         while not live.supervisor.over:
             live.step()
+            if len(asked) > 2:  # here, not in the handler: that may come in the middle of looking
+                live.supervisor.close()
             now = time.monotonic()
             if now - notified > _NOTIFY_S:
                 notified = now
@@ -251,9 +263,11 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
                 running_since = now
                 screen.say(f"all processes run after {live.elapsed_s:.1f} s")
             over = duration_s is not None and running_since is not None and now - running_since > duration_s
-            if (asked or over or live.supervisor.idle) and not live.supervisor.stopping:
-                notify_init("STOPPING=1")
+            if asked or over or live.supervisor.idle or screen.unread:
                 live.supervisor.stop()
+            if live.supervisor.stopping and not ends:
+                ends = True  # whatever the reason: saving takes longer than a watchdog waits
+                notify_init("STOPPING=1")
             if (lingering := live.supervisor.lingering) and now - told > _TELL_S:
                 told = now
                 for name, left_s in lingering.items():
@@ -263,7 +277,7 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    return signal.SIGINT in asked
+    return asked
 
 
 def _in_short(live: "Run", event: "Event") -> str:

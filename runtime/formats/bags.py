@@ -4,7 +4,7 @@ The messages tell the geometry. The file is read twice, first for stamps and rul
 a day of scans needs no more memory than one.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
@@ -38,6 +38,9 @@ class _Source(Protocol):
 
     def losses(self, topic: str) -> tuple[str, ...]:
         """Say what belongs into the file and is not there."""
+
+    def gaps(self, topic: str) -> tuple[Mapping[str, Any], ...]:
+        """Return where scans are missing, as rows of a table."""
 
     def notices(self, topic: str) -> tuple[str, ...]:
         """Say what else a reader should know."""
@@ -92,6 +95,7 @@ def read_bag(path: Path, topic: str | None = None) -> LaserLog:
         + source.notices(chosen),
         read=_ranges(source, chosen),
         losses=source.losses(chosen),
+        gaps=source.gaps(chosen),
         numbers=source.numbers(chosen),
         run_seed=source.state.run_seed if isinstance(source, McapScans) else None,
         run_config=source.state.run_config if isinstance(source, McapScans) else "",
@@ -136,6 +140,9 @@ class _RosBag:
             return {one.topic: one.msgtype for one in reader.connections}
 
     def losses(self, topic: str) -> tuple[str, ...]:
+        return ()
+
+    def gaps(self, topic: str) -> tuple[Mapping[str, Any], ...]:
         return ()
 
     def notices(self, topic: str) -> tuple[str, ...]:

@@ -5,9 +5,10 @@ arrival stamps come in bursts and even backwards. A reading is a distance, +inf 
 information), never zero.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,6 +78,8 @@ class LaserLog:
     """YAML of the resolved configuration of the run that was recorded."""
     losses: tuple[str, ...] = ()
     """What belongs into the log and is not there: a cut file, scans that were never recorded."""
+    gaps: tuple[Mapping[str, Any], ...] = ()
+    """Where scans are missing, by their numbers; rows as `runtime.formats.missing.Account.gaps` has them."""
     numbers: Numbers | None = None
     """Of the scans; None where the format has none."""
 

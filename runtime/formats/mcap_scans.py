@@ -1,6 +1,6 @@
 """The laser scans of an MCAP file of any writer, finished or cut; its messages must be CDR."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,10 @@ class McapScans:
     def losses(self, topic: str) -> tuple[str, ...]:
         """Say what belongs into the file and is not there."""
         return tuple(f"{self._path}: {one}" for one in self._account.losses([_name(topic)]))
+
+    def gaps(self, topic: str) -> tuple[Mapping[str, Any], ...]:
+        """Return where scans of a topic are missing, as rows of a table."""
+        return tuple(self._account.gaps(self._began_ns or 0, [_name(topic)]))
 
     def notices(self, topic: str) -> tuple[str, ...]:
         """Say where the laser's process was gone."""

@@ -28,6 +28,8 @@ from runtime.topics import topic
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one node of a graph until it ends or is asked to stop."""
+    # Whoever is asked to end before it works has nothing to save, and nothing to say: no traceback.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     realtime.follow_parent()
     parser = argparse.ArgumentParser(prog="runtime.process", description=__doc__)
     parser.add_argument("name", help="of the node in the graph")

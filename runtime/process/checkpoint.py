@@ -64,7 +64,11 @@ class Checkpoint:
 
     def read(self) -> Any | None:
         """Take the last state; None if there is none, or it belongs to another configuration."""
-        if not self._path.is_absolute() or not self._path.is_file():
+        if not self._path.is_absolute():
+            return None
+        for cut in self._path.parent.glob(f".{self._path.name}.*"):  # of one that was killed as it wrote
+            cut.unlink(missing_ok=True)
+        if not self._path.is_file():
             return None
         try:
             with self._path.open("rb") as file:

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 
 _PR_SET_PDEATHSIG = 1
 _RLIMIT_OF_NICE_0 = 20
+_NOTIFY_VARIABLE = "NOTIFY_SOCKET"
 PARENT_VARIABLE = "HALLWAY_PARENT_PID"
 """In the environment of a process: who started it."""
 _SWITCH_S = 0.001
@@ -97,11 +98,16 @@ def settle() -> None:
     gc.freeze()
 
 
+def is_watched() -> bool:
+    """Whether systemd started this process and waits for what it says."""
+    return bool(os.environ.get(_NOTIFY_VARIABLE))
+
+
 def notify_init(text: str) -> bool:
     """Tell systemd `READY=1`, `WATCHDOG=1` or `STATUS=...`; False where nobody listens."""
     import socket
 
-    address = os.environ.get("NOTIFY_SOCKET")
+    address = os.environ.get(_NOTIFY_VARIABLE)
     if not address:
         return False
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line, contextlib.suppress(OSError):

@@ -4,6 +4,7 @@ States: waiting (for others), starting, running, backoff, stopping, ended (on it
 good).
 """
 
+import contextlib
 import enum
 import os
 import re
@@ -25,6 +26,8 @@ _LOOP_FAILURES = 6  # so many failures without a steady time in between: a crash
 _SPARE_AFTER_S = 3.0
 _LOG_BYTES = 2_000_000
 _LOG_FILES = 3
+_REQUESTS = (signal.SIGINT, signal.SIGTERM)
+"""Ways to ask a process to end; one that does not work yet just does."""
 _PREFIX = re.compile(r"^\S+ [A-Z]+ +[\w.]+: ")
 
 
@@ -59,6 +62,8 @@ class Child:
         self.since = time.monotonic()
         """When the state was entered."""
         self.was_ready = False
+        self.for_good = False
+        """Whether the run ends: when the process does, however, it does not start again."""
         self._command, self._environment = list(command), dict(environment)
         self._process: subprocess.Popen[bytes] | None = None
         self._usage: Usage | None = None
@@ -86,12 +91,17 @@ class Child:
         """Change the state."""
         self.state, self.since = state, time.monotonic()
 
-    def start(self) -> None:
-        """Start the process, or let the spare one take over."""
-        self._process = self._spare.call() or self._spawned(self._command, subprocess.DEVNULL)
-        self._usage = Usage(self._process.pid)
+    def start(self) -> str:
+        """Start the process, or let the spare one take over; return what happened, in words."""
         self._blamed = ""
+        word = "starts again" if self.state is State.BACKOFF else "starts"
+        try:
+            self._process = self._spare.call() or self._spawned(self._command, subprocess.DEVNULL)
+        except OSError as error:  # no memory, no disk, too many processes: that may pass
+            return self._failed(f"cannot be started: {error.strerror}")
+        self._usage = Usage(self._process.pid)
         self.enter(State.STARTING)
+        return word
 
     def _spawned(self, command: Sequence[str], stdin: int) -> subprocess.Popen[bytes]:
         with self.log_path.open("ab") as log:
@@ -113,9 +123,10 @@ class Child:
     def poll(self) -> str | None:
         """Look after the process; return what happened, in words, if something did."""
         now = time.monotonic()
+        if self.state is State.BACKOFF and self.for_good:
+            self.stop()
         if self.state is State.BACKOFF and now >= self._due:
-            self.start()
-            return "starts again"
+            return self.start()
         if self._process is None:
             return None
         if self.state is State.RUNNING:
@@ -184,6 +195,13 @@ class Child:
     def rotate_log(self) -> None:
         """Keep the log and its predecessors bounded."""
         try:
+            self._rotate_log()
+        except OSError:  # a full disk, most likely, which must end no robot; the log itself gives way
+            with contextlib.suppress(OSError):
+                os.truncate(self.log_path, 0)
+
+    def _rotate_log(self) -> None:
+        try:
             if self.log_path.stat().st_size < _LOG_BYTES:
                 return
         except FileNotFoundError:
@@ -203,22 +221,28 @@ class Child:
         if self.state is State.STOPPING:
             self.exit_code = max(code, 0) if not self._blamed else 1
             self.enter(State.ENDED)
-            if code == 0:
+            if code == 0 or (-code in _REQUESTS and not self._blamed):
                 return "ended"
             self.reasons.append(self._reason(code))
             return self.reasons[-1]
-        policy = self.spec.restart
-        if code == 0 and policy != "always":
+        if code == 0 and self.spec.restart != "always":
             self._spare.dismiss()
             self.enter(State.ENDED)
             return "ended by itself"
-        reason = self._reason(code)
-        self.reasons.append(reason)
-        self.exit_code = code if 0 <= code <= 5 else 1
-        self._failures += 1
         # What a person wrote does not heal, and a device that never was there will not come.
         hopeless = code == 2 or (code == 3 and not self.was_ready)
-        if policy == "never" or hopeless:
+        return self._failed(self._reason(code), code if 0 <= code <= 5 else 1, hopeless=hopeless)
+
+    def _failed(self, reason: str, exit_code: int = 1, *, hopeless: bool = False) -> str:
+        """Decide what follows when the process has failed; return that in words."""
+        self.reasons.append(reason)
+        self.exit_code = exit_code
+        self._failures += 1
+        if self.for_good:
+            self._spare.dismiss()
+            self.enter(State.ENDED)
+            return reason
+        if self.spec.restart == "never" or hopeless:
             self._spare.dismiss()
             self.enter(State.FAILED)
             return reason
@@ -236,9 +260,16 @@ class Child:
         if self._blamed:
             return self._blamed
         if code < 0:
-            return f"killed by {signal.Signals(-code).name}"
+            return f"killed by {_name_of(-code)}"
         line = last_line(self.log_path)
         return f"exit code {code}" + (f": {line}" if line else "")
+
+
+def _name_of(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # those of real time between the first and the last have none
+        return f"signal {number}"
 
 
 def last_line(log: Path) -> str:

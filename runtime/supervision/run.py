@@ -5,6 +5,7 @@
 
 import json
 import logging
+import os
 import shutil
 import time
 from collections.abc import Callable, Mapping
@@ -27,6 +28,8 @@ from runtime.supervision.supervisor import HUB, SILENT_S, Event, Supervisor, com
 _REPORT_S = 1.0
 ENDS = "ends"
 """Among the values of a supervisor: whether the run ends."""
+RUN = "run"
+"""Among them: a name of the run that no other has."""
 
 
 def log_to(file: Path) -> logging.Handler:
@@ -83,6 +86,10 @@ class Run:
         self._port: BusPort | None = None
         self._reported = 0.0
         self._said_to_end = False
+        self._run = os.urandom(8).hex()
+        self._robots_run = ""
+        self.outlived = False
+        """Whether the robot, on another machine, has begun a new run while this one was part of its last."""
         logs = results_dir / "logs"
         logs.mkdir(parents=True, exist_ok=True)
         self._log = log_to(logs / f"{SUPERVISOR}.log")
@@ -120,8 +127,8 @@ class Run:
             ready |= self._health.ready()
             silent = self._health.silent(SILENT_S)
         self.supervisor.step(ready, silent)
-        if self._robot_ends() and not self.supervisor.stopping:
-            self._note(Event(self.clock.now_ns(), self._name, "the robot has ended, and this part with it"))
+        if not self.supervisor.stopping and (why := self._end_of_robots()):
+            self._note(Event(self.clock.now_ns(), self._name, why))
             self.supervisor.stop()
         if self._port is not None:
             self._port.turn()
@@ -189,6 +196,7 @@ class Run:
             for name, host in self._machine.elsewhere.items():
                 values |= {f"child.{name}.state": ELSEWHERE, f"child.{name}.host": host}
         values[ENDS] = int(self.supervisor.stopping)
+        values[RUN] = self._run
         step_ms = self.clock.wall_step_ns() / 1e6
         values["wall_clock_step_ms"] = f"{step_ms:.1f}"
         down = [c.name for c in children if c.state.value in ("backoff", "failed")]
@@ -201,10 +209,18 @@ class Run:
         if self.supervisor.stopping:
             port.beat()  # now: once the hub has ended, no other machine hears it
 
-    def _robot_ends(self) -> bool:
-        """Whether the robot, on another machine, ends or has ended."""
+    def _end_of_robots(self) -> str:
+        """Return how the robot's run, on another machine, has ended; empty as long as it has not."""
         robot = None if self._machine.is_robot else self._vitals().get(SUPERVISOR)
-        return robot is not None and (robot.has_left or robot.number(ENDS) > 0)
+        if robot is None:
+            return ""
+        if robot.has_left or robot.number(ENDS) > 0:
+            return "the robot has ended, and this part with it"
+        run = robot.values.get(RUN, "")
+        self._robots_run = self._robots_run or run
+        # It was killed, or the link was cut at its last word: no map goes on from one run into the next.
+        self.outlived = run != self._robots_run
+        return "the robot has begun a new run: this part of its last one ends" if self.outlived else ""
 
     def _vitals(self) -> Mapping[str, Vital]:
         return self._health.vitals() if self._health is not None else {}
@@ -243,13 +259,13 @@ def collect(results_dir: Path, nodes: list[str], run: Mapping[str, Any], config:
             continue
         for file in sorted(folder.iterdir()):
             if file.name == "metrics.json":
-                metrics |= json.loads(file.read_text(encoding="utf-8"))
+                metrics |= _left_in(file)
                 file.unlink()
             elif file.name == RUN_FILE:
-                about |= json.loads(file.read_text(encoding="utf-8"))
+                about |= _left_in(file)
                 file.unlink()
             elif file.name == "latency.json":
-                latency = json.loads(file.read_text(encoding="utf-8"))
+                latency = _left_in(file)
                 known = metrics.setdefault("latency", {})
                 hops = known.get("hops", {}) | latency.get("hops", {})
                 known |= {**latency, "hops": hops}
@@ -264,3 +280,13 @@ def collect(results_dir: Path, nodes: list[str], run: Mapping[str, Any], config:
     (results_dir / "metrics.json").write_text(to_json(metrics), encoding="utf-8")
     (results_dir / RUN_FILE).write_text(to_json({**about, **run}), encoding="utf-8")
     return metrics
+
+
+def _left_in(file: Path) -> dict[str, Any]:
+    """Return what a node wrote; nothing where it was ended meanwhile, which costs no other its results."""
+    try:
+        values = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError:
+        logging.getLogger(SUPERVISOR).warning("%s: is cut off, and left out of the results", file)
+        return {}
+    return dict(values)

@@ -3,6 +3,7 @@
 Importing what a matcher or a mapper needs takes longer than a robot may be without one.
 """
 
+import contextlib
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -31,7 +32,8 @@ class Spare:
         if self._process is not None and self._process.poll() is not None:
             self.dismiss()
         if self._process is None:
-            self._process = self._spawn()
+            with contextlib.suppress(OSError):  # no memory, too many processes: the next turn tries again
+                self._process = self._spawn()
 
     def call(self) -> subprocess.Popen[bytes] | None:
         """Let it take over and return it; None if there is none that works."""
@@ -44,7 +46,7 @@ class Spare:
                 line.write(b"go\n")
             # It may still import, and on a busy machine it would for ever: it cannot read that it is called.
             realtime.step_forward(process.pid, like=0)
-        except (BrokenPipeError, ProcessLookupError):
+        except OSError:  # it has gone, or the kernel does not let it rise: begin at the beginning
             self.dismiss()
             return None
         self._process = None

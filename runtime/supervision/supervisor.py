@@ -26,6 +26,8 @@ _WAVES_S = 0.4
 _LINGERS_S = 1.0
 SILENT_S = 5.0
 """A process that beats once a second and was not heard for so long does not work."""
+_STALL_S = 1.0
+"""Whoever did not look for so long was stopped, or starved; it hears others again when its links are back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +69,11 @@ class Supervisor:
             name: Child(name, spec, commands[name], logs / f"{name}.log", environment)
             for name, spec in specs.items()
         }
-        self._met: set[str] = set()
+        self._elsewhere, self._met = set(elsewhere), set[str]()
         self.stopping = False
         self._stop_began = 0.0
         self._rotated = 0.0
+        self._looked = self._attentive = time.monotonic()
         self.failed: Child | None = None
         """The required process whose end ended the run."""
 
@@ -118,7 +121,9 @@ class Supervisor:
             ready: Names of the processes that say they are ready.
             silent: Names of the processes that have not been heard of for too long.
         """
-        self._met |= set(ready) - self.children.keys()
+        self._met |= self._elsewhere.intersection(ready)
+        if self._is_deaf():
+            silent = ()
         for child in self.children.values():
             if child.state is State.STARTING and child.name in ready:
                 child.ready()
@@ -130,8 +135,7 @@ class Supervisor:
                     self._forget(child.name)
                 self._tell(child, happened)
             if child.state is State.WAITING and not self.stopping and self._may_start(child):
-                child.start()
-                self._tell(child, "starts")
+                self._tell(child, child.start())
             if child.state is State.FAILED and child.spec.required and self.failed is None:
                 self.failed = child
                 self.stop()
@@ -147,12 +151,22 @@ class Supervisor:
         if self.stopping:
             return
         self.stopping = True
+        for child in self.children.values():
+            child.for_good = True
         self._stop_began = time.monotonic()
 
     def close(self) -> None:
         """End everything at once, whatever state it is in."""
         for child in self.children.values():
             child.end()
+
+    def _is_deaf(self) -> bool:
+        """Whether this process did not run itself a while ago, and others spoke without being heard."""
+        now = time.monotonic()
+        if now - self._looked > _STALL_S:
+            self._attentive = now
+        self._looked = now
+        return now - self._attentive < SILENT_S
 
     def _may_start(self, child: Child) -> bool:
         hub = self.children.get(HUB)

@@ -150,6 +150,37 @@ def test_a_matcher_and_a_mapper_elsewhere_make_the_map_and_one_that_is_killed_go
 
 
 @pytest.mark.timeout(300)
+def test_the_other_machine_begins_anew_with_a_robot_that_had_no_last_word(tmp_path, runs):
+    site = Site(tmp_path, runs, ("mapper",))
+
+    def mapper_at_work(bus, but=0):
+        health = Health(bus, "robot")
+
+        def pid():
+            return int(number(health, "mapper", "pid"))
+
+        until(lambda: pid() not in (0, but) and number(health, "mapper", "scans") > 20, 100)
+        assert number(health, "mapper", "resumptions") == 0
+        return pid()
+
+    with site.up("desk") as desk:
+        with site.up("pi") as pi, ZenohBus(links.visitor(site.run_dir("pi"))) as bus:
+            first = mapper_at_work(bus)
+            pi.kill()
+            pi.wait(10)
+        with site.up("pi") as pi, ZenohBus(links.visitor(site.run_dir("pi"))) as bus:
+            mapper_at_work(bus, but=first)
+            pi.send_signal(signal.SIGINT)
+            assert desk.wait(60) == 0
+    said = site.said("desk")
+    assert said.count("expects ") == 2
+    assert said.index("the robot has begun a new run") < said.index("the robot has ended")
+    # Of each run its own map.
+    for folder in ("desk-res.old", "desk-res"):
+        assert (tmp_path / folder / "map.pgm").exists()
+
+
+@pytest.mark.timeout(300)
 def test_the_wheels_stop_when_the_machine_that_drives_and_matches_is_gone(tmp_path, runs):
     site = Site(tmp_path, runs, ("matcher", "operator"))
     with site.up("pi"), ZenohBus(links.visitor(site.run_dir("pi"))) as bus:

@@ -200,3 +200,11 @@ def test_an_operator_drives_from_ros_and_a_viewer_does_not(robot, told):
     seen = robot.guest("anna", "viewer", drive="/robot/cmd_vel", within_s=6.0)
     assert len(seen["heard"]["/robot/scan"]["client"]) > 10
     assert driven_m(seen) < 0.01
+
+
+@pytest.mark.timeout(400)
+def test_who_comes_late_has_the_latched_topics_at_once(robot, told):
+    assert told["heard"]["/robot/map"]["client"]
+    late = robot.guest("lena", "viewer", drive="", within_s=0.0)  # what is asked for, and nothing else
+    for name in LATCHED:
+        assert late["heard"][f"/robot/{name}"]["client"], name

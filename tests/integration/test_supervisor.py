@@ -115,9 +115,10 @@ def test_what_runs_elsewhere_is_waited_for_once_and_neither_started_nor_missed(s
     stage.ready = {"d"}
     stage.until(lambda: stage.supervisor.all_here)  # the robot is up, and waits for another machine
     assert not stage.supervisor.all_ready
-    stage.ready = {"a", "d"}
+    stage.ready = {"a", "d", "teleop_1"}
     stage.until(lambda: stage.state("b") is State.STARTING)
     assert not stage.supervisor.all_here
+    assert stage.supervisor._met == {"a"}  # guests come and go for weeks
     stage.ready, stage.silent = {"b", "c", "d"}, {"a"}
     stage.until(lambda: stage.supervisor.all_ready)
     assert stage.supervisor.all_here
@@ -202,6 +203,20 @@ def test_a_node_that_does_not_speak_is_started_again_but_not_in_its_first_second
     stage.until(lambda: stage.children["a"].restarts == 1)
     assert time.monotonic() - began > 0.25
     assert stage.children["a"].reasons[-1] == "does not speak any more"
+
+
+def test_a_supervisor_that_was_stopped_itself_takes_nobody_for_silent(scene, monkeypatch):
+    monkeypatch.setattr("runtime.supervision.supervisor.SILENT_S", 0.3)
+    monkeypatch.setattr("runtime.supervision.supervisor._STALL_S", 0.1)
+    stage = scene({"a": SLEEPS})
+    stage.ready = {"a"}
+    stage.until(lambda: stage.state("a") is State.RUNNING and stage.children["a"].age_s > 0.35)
+    time.sleep(0.15)  # as after Ctrl-Z: what was said meanwhile was not heard
+    stage.silent = {"a"}
+    began = time.monotonic()
+    stage.until(lambda: time.monotonic() - began > 0.25)
+    assert stage.children["a"].restarts == 0
+    stage.until(lambda: stage.children["a"].restarts == 1)  # it is given its time, and no more
 
 
 def test_stopping_ends_the_polite_at_once_and_the_stubborn_within_two_seconds(scene):
@@ -310,6 +325,23 @@ def test_a_spare_process_that_is_called_while_it_imports_does_not_stand_aside_an
     assert os.sched_getscheduler(spare) == os.sched_getscheduler(0)
 
 
+def test_a_spare_that_may_not_rise_again_gives_way_to_a_process_from_the_beginning(scene, monkeypatch):
+    def refuse(pid, like):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr("runtime.supervision.child._SPARE_AFTER_S", 0.0)
+    monkeypatch.setattr("runtime.supervision.spare.realtime.step_forward", refuse)
+    stage = scene({"a": SPARE}, a=NodeSpec(module="m", spare=True))
+    stage.ready = {"a"}
+    stage.until(lambda: stage.children["a"]._spare.pid)
+    stage.ready = set()
+    spare = stage.children["a"]._spare.pid
+    os.kill(stage.children["a"].pid, signal.SIGKILL)
+    stage.until(lambda: stage.children["a"].restarts == 1 and stage.state("a") is State.STARTING)
+    assert stage.children["a"].pid != spare
+    stage.until(lambda: not alive(spare))
+
+
 def test_who_depends_on_others_is_asked_to_end_before_them(scene):
     stage = scene({"source": POLITE, "sink": POLITE}, source=NodeSpec(module="m", after=("sink",)))
     stage.ready = {"sink", "source"}
@@ -318,6 +350,16 @@ def test_who_depends_on_others_is_asked_to_end_before_them(scene):
     stage.until(lambda: stage.supervisor.over)
     ended = [node for node, text in stage.events if text == "ended"]
     assert ended == ["source", "sink"]
+
+
+def test_a_node_that_is_asked_to_end_before_it_works_just_ends(scene):
+    text = "import signal; signal.signal(signal.SIGINT, signal.SIG_DFL); print('up', flush=True); "
+    stage = scene({"a": text + SLEEPS})
+    stage.until(lambda: stage.wrote("a", "up\n"))
+    stage.supervisor.stop()
+    stage.until(lambda: stage.supervisor.over)
+    assert stage.said("a") == ["starts", "ended"]
+    assert not stage.children["a"].reasons
 
 
 def test_a_node_that_has_much_to_save_has_the_time_it_was_given(scene):
@@ -367,6 +409,44 @@ def test_nothing_starts_while_everything_ends(scene):
     assert stage.said("b") == []
 
 
+def test_what_fails_while_everything_ends_is_not_started_again(scene):
+    stage = scene({"back_off": "import sys; sys.exit(1)", "killed": STUBBORN, "last": POLITE})
+    stage.until(lambda: stage.wrote("killed", "up\n") and stage.wrote("last", "up\n"))
+    stage.until(lambda: stage.state("back_off") is State.BACKOFF and stage.children["back_off"].restarts > 1)
+    started = stage.said("back_off").count("starts again")
+    stage.supervisor.stop()
+    os.kill(stage.children["killed"].pid, signal.SIGKILL)
+    stage.until(lambda: stage.supervisor.over)
+    assert stage.said("killed") == ["starts", "killed by SIGKILL"]
+    assert stage.said("back_off").count("starts again") == started
+
+
+def test_what_cannot_be_started_for_want_of_something_is_tried_again(scene, monkeypatch):
+    lacking = iter([OSError(12, "Cannot allocate memory")] * 2)
+
+    def popen(*args, **kwargs):
+        if (error := next(lacking, None)) is not None:
+            raise error
+        return really(*args, **kwargs)
+
+    really = subprocess.Popen
+    monkeypatch.setattr("runtime.supervision.child.subprocess.Popen", popen)
+    stage = scene({"a": SLEEPS})
+    stage.until(lambda: stage.state("a") is State.STARTING)
+    why = "cannot be started: Cannot allocate memory"
+    assert stage.said("a") == [
+        f"{why}; starts again in 0 s",
+        f"{why}; starts again in 0.25 s",
+        "starts again",
+    ]
+
+
+def test_a_signal_without_a_name_is_told_by_its_number(scene):
+    stage = scene({"a": "import os; os.kill(os.getpid(), 40)"}, a=NodeSpec(module="m", restart="never"))
+    stage.until(lambda: stage.state("a") is State.FAILED)
+    assert stage.said("a")[-1] == "killed by signal 40"
+
+
 def test_every_process_has_the_clock_of_the_run_and_one_thread_for_numbers(scene):
     stage = scene({"a": f"import os; print(os.environ[{OFFSET_VARIABLE!r}], os.environ['OMP_NUM_THREADS'])"})
     stage.until(lambda: stage.state("a") is State.ENDED)
@@ -387,6 +467,20 @@ def test_logs_are_cut_before_they_fill_the_disk(scene, monkeypatch):
     assert kept == ["a.log", "a.log.1", "a.log.2", "a.log.3"]
     assert (stage.logs / "a.log.1").read_text().startswith("5")
     assert (stage.logs / "a.log.3").read_text().startswith("3")
+
+
+def test_a_full_disk_costs_the_logs_and_not_the_robot(scene, monkeypatch):
+    def full(*paths):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("runtime.supervision.child._LOG_BYTES", 100)
+    monkeypatch.setattr("runtime.supervision.child.shutil.copyfile", full)
+    stage = scene({"a": SLEEPS})
+    stage.until(lambda: stage.state("a") is State.STARTING)
+    child = stage.children["a"]
+    child.log_path.write_text("x" * 200)
+    child.rotate_log()
+    assert child.log_path.read_text() == ""
 
 
 def test_the_reason_is_the_last_line_without_its_time_and_name(tmp_path):

@@ -34,6 +34,15 @@ class Listener(ROS2Subscriber):
         self.samples.append((sample.payload.to_bytes(), attachment.to_bytes() if attachment else b""))
         super()._process_sample(sample)
 
+    def _discover_publishers(self):
+        # 0.1.8 looks for tokens with only the first '/' of a name written as '%': in a namespace, where
+        # rmw_zenoh writes all of them so, it finds nobody whom it could ask for what was said before.
+        named, self.topic = self.topic, self.topic.strip("/").replace("/", "%")
+        try:
+            return super()._discover_publishers()
+        finally:
+            self.topic = named
+
     def told(self):
         """What was heard, as JSON has it."""
         decoded = list(self.decoded)  # more may come meanwhile

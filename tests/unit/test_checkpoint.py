@@ -45,6 +45,14 @@ def test_a_state_is_taken_once(tmp_path):
     assert (checkpoint.read(), checkpoint.read()) == ("state", None)
 
 
+def test_what_was_being_written_at_a_kill_does_not_stay(tmp_path):
+    Checkpoint(tmp_path / "a", EVERY_NS, "config").write(1, "state")
+    (tmp_path / ".a.4711").write_bytes(bytes(100))
+    (tmp_path / ".ab.4711").write_bytes(bytes(100))  # another's
+    assert Checkpoint(tmp_path / "a", EVERY_NS, "config").read() == "state"
+    assert [path.name for path in tmp_path.iterdir()] == [".ab.4711"]
+
+
 def test_a_disk_that_refuses_is_told_and_nothing_is_left(tmp_path):
     assert not Checkpoint(tmp_path / "none" / "a", EVERY_NS, "config").write(1, "state")
     (tmp_path / "a").mkdir()

@@ -214,7 +214,10 @@ def test_a_recording_with_missing_scans_is_mapped_and_costs_exit_code_4(tmp_path
     assert main(["map", str(tmp_path / "whole.mcap"), "--out", str(tmp_path / "a")]) == 0
     recording(tmp_path / "holes.mcap", [0, 1, 2, 5, 6, 7, 8, 9])
     assert main(["map", str(tmp_path / "holes.mcap"), "--out", str(tmp_path / "b")]) == 4
-    assert "2 messages of /robot/scan, by its sequence numbers" in capsys.readouterr().err
+    said = capsys.readouterr()
+    assert "2 messages of /robot/scan, by its sequence numbers" in said.err
+    # What and where: topic, time, first number, count.
+    assert ["/robot/scan", "0.000", "4", "2"] in [line.split() for line in said.out.splitlines()]
     assert len(read_tum(tmp_path / "b" / "trajectory.tum")) == 8
 
 

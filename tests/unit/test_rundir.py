@@ -1,9 +1,42 @@
 """Whether a robot of this machine is there, or was."""
 
+import socket
+import tempfile
+from pathlib import Path
+
 import pytest
 
 from runtime import rundir
 from runtime.errors import ConfigError
+
+
+class Hub:
+    """What listens where a hub does."""
+
+    def __init__(self, place):
+        place.mkdir(parents=True, exist_ok=True)
+        (place / "hub.sock").unlink(missing_ok=True)
+        self._line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._line.bind(str(place / "hub.sock"))
+        self._line.listen()
+
+    def die(self):
+        """End as by SIGKILL: the file of the socket stays."""
+        self._line.close()
+
+
+@pytest.fixture
+def hub():
+    """Starts hubs, and ends them."""
+    started = []
+
+    def start(place):
+        started.append(Hub(place))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.die()
 
 
 @pytest.fixture
@@ -14,25 +47,44 @@ def now(monkeypatch, tmp_path):
     return time
 
 
-def test_a_hub_that_begins_anew_does_not_make_its_robot_gone(now, tmp_path):
-    socket = tmp_path / "robot" / "hub.sock"
-    socket.parent.mkdir()
-    socket.touch()
+def test_a_hub_that_begins_anew_does_not_make_its_robot_gone(now, hub, tmp_path):
+    running = hub(tmp_path / "robot")
     presence = rundir.Presence("robot")
     assert not presence.gone
     for step_s, there, gone in ((50, True, False), (1, False, False), (1, True, False), (1.5, False, False)):
         now[0] += step_s
-        socket.touch() if there else socket.unlink(missing_ok=True)
+        running.die()
+        if there:
+            running = hub(tmp_path / "robot")
         assert presence.gone is gone
     now[0] += 1
     assert presence.gone
 
 
-def test_a_robot_that_does_not_run_comes_with_the_next_step(now, tmp_path):
+def test_what_a_killed_machine_left_behind_is_no_robot_that_runs(now, hub, tmp_path):
+    hub(tmp_path / "robot").die()
+    hub(tmp_path / "rover").die()
+    assert (tmp_path / "robot" / "hub.sock").exists()
+    assert not rundir.is_running("robot")
+    with pytest.raises(rundir.NotRunningError, match="'robot' does not run here, nor does any other"):
+        rundir.running("robot")
+
+
+def test_a_run_that_breaks_off_leaves_nothing_behind(now, tmp_path):
+    def break_off():
+        with rundir.claimed("robot") as path:
+            (path / "hub.sock").touch()
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        break_off()
+    assert not (tmp_path / "robot").exists()
+
+
+def test_a_robot_that_does_not_run_comes_with_the_next_step(now, hub, tmp_path):
     with pytest.raises(rundir.NotRunningError, match=r"hallway up demo.*hallway keys pair"):
         rundir.running("robot")
-    (tmp_path / "rover").mkdir()
-    (tmp_path / "rover" / "hub.sock").touch()
+    hub(tmp_path / "rover")
     with pytest.raises(rundir.NotRunningError, match="running: rover; say which with --robot"):
         rundir.running("robot")
     assert rundir.running("rover") == tmp_path / "rover"
@@ -45,15 +97,15 @@ def test_a_robot_that_was_never_here_is_never_gone(now):
 
 
 @pytest.fixture
-def system(monkeypatch, tmp_path):
+def system(monkeypatch, hub):
     """A person's place without a robot, and `/run` with one that was started at boot."""
-    monkeypatch.delenv("HALLWAY_RUN", raising=False)
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "person"))
-    monkeypatch.setattr("runtime.rundir._SYSTEM", tmp_path / "run")
-    place = rundir.boot_dir("carrier") / "carrier"
-    place.mkdir(parents=True)
-    (place / "hub.sock").touch()
-    return place
+    with tempfile.TemporaryDirectory(prefix="run-") as folder:  # a socket's path is short
+        monkeypatch.delenv("HALLWAY_RUN", raising=False)
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(Path(folder) / "person"))
+        monkeypatch.setattr("runtime.rundir._SYSTEM", Path(folder) / "run")
+        place = rundir.boot_dir("carrier") / "carrier"
+        hub(place)
+        yield place
 
 
 def test_a_robot_that_was_started_at_boot_is_found_by_whoever_names_no_place(system, monkeypatch, tmp_path):

@@ -168,3 +168,22 @@ def test_a_warning_that_stays_is_said_once_and_then_counted(monkeypatch, capsys)
         "",
         " | monitor: the clock has stepped",
     ]
+
+
+class Unread(io.StringIO):
+    """A pipe whose reader has ended."""
+
+    def flush(self):
+        raise BrokenPipeError(32, "Broken pipe")
+
+
+def test_nobody_who_reads_is_no_reason_to_fall(monkeypatch):
+    with Screen() as screen:
+        screen.say("read")
+        assert not screen.unread
+        monkeypatch.setattr(sys, "stdout", Unread())
+        screen.say("not read")
+        assert screen.unread
+        screen.show(status({}), 1.0)
+        with pytest.raises(BrokenPipeError):
+            screen.check_read()

@@ -1,15 +1,18 @@
 """The systemd unit of a robot is one that systemd takes, and systemd is told what it waits for."""
 
+import contextlib
 import os
 import re
 import shutil
 import socket
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from runtime import cli, rundir
+from runtime.cli import up
 from runtime.errors import ConfigError, HallwayError
 from runtime.process.realtime import notify_init
 from runtime.supervision import service
@@ -133,3 +136,39 @@ def test_without_systemd_nobody_is_told(tmp_path, monkeypatch):
     assert not notify_init("READY=1")
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
     assert not notify_init("READY=1")
+
+
+class Ending:
+    """A run that ends by itself: one look, and the next one finds it over."""
+
+    def __init__(self):
+        self.supervisor, self.elapsed_s, self.looks = self, 0.0, 0
+        self.stopping, self.idle, self.all_here, self.all_ready, self.lingering = True, False, True, True, {}
+
+    @property
+    def over(self):
+        return self.looks > 1
+
+    def step(self):
+        self.looks += 1
+
+    def status(self):
+        return None
+
+    def stop(self):
+        """Nobody asks it to."""
+        raise AssertionError
+
+
+def test_systemd_hears_that_a_run_ends_whoever_ends_it(tmp_path, monkeypatch):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as line:
+        line.bind(str(tmp_path / "notify"))
+        line.setblocking(False)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        screen = SimpleNamespace(unread=False, say=lambda text: None, show=lambda *what: None)
+        assert up._drive(Ending(), screen, None) == []
+        told = []
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                told.append(line.recv(100).decode())
+    assert told == ["WATCHDOG=1", "READY=1", "STOPPING=1"]
