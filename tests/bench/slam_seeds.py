@@ -160,7 +160,10 @@ def _picked(drive: Drive, kept: np.ndarray) -> Drive:
 
 
 def _thinned(drive: Drive) -> Drive:
-    return _picked(drive, np.arange(0, len(drive.scans), 2))
+    picked = _picked(drive, np.arange(0, len(drive.scans), 2))
+    beams = drive.scans[0].beams
+    slow = replace(beams, period_s=2.0 * beams.period_s)
+    return replace(picked, scans=[replace(scan, beams=slow) for scan in picked.scans])
 
 
 def _holed(drive: Drive) -> Drive:
