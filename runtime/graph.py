@@ -238,7 +238,7 @@ def main(argv: list[str] | None = None) -> int:
     import json
     import sys
 
-    parser = argparse.ArgumentParser(prog="runtime.graph", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="runtime.graph", description=main.__doc__, allow_abbrev=False)
     parser.add_argument("file", type=Path)
     parser.add_argument("--headless", action="store_true", help="leave out what needs a screen")
     parser.add_argument("--elsewhere", nargs="*", default=[], help="processes that run on other machines")

@@ -29,7 +29,7 @@ from runtime.topics import topic
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one node of a graph until it ends or is asked to stop."""
     realtime.follow_parent()
-    parser = argparse.ArgumentParser(prog="runtime.process", description=__doc__)
+    parser = argparse.ArgumentParser(prog="runtime.process", description=__doc__, allow_abbrev=False)
     parser.add_argument("name", help="of the node in the graph")
     parser.add_argument("--graph", type=Path, required=True)
     parser.add_argument("--run-dir", type=Path, required=True, help="of the robot's sockets")

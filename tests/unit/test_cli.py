@@ -102,6 +102,32 @@ def test_an_unknown_option_is_said_under_the_usage_of_its_verb(verb, capsys):
 
 
 @pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            "up demo --headles",
+            "hallway up: error: unrecognized arguments: --headles; did you mean '--headless'?",
+        ),
+        ("up demo --head", "unrecognized arguments: --head; did you mean '--headless'?"),
+        ("--headless up demo", "unrecognized arguments: --headless; write it at the end of the line"),
+        ("topic echo scan --ful=1", "unrecognized arguments: --ful=1; did you mean '--full'?"),
+        (
+            "topic ech scan",
+            "hallway topic: error: argument ACTION: invalid choice: 'ech'; did you mean 'echo'?",
+        ),
+        ("mapp a.log", "hallway: error: argument VERB: invalid choice: 'mapp'; did you mean 'map'?"),
+        ("keys invite me --role king", "invalid choice: 'king'; choose from viewer, operator, machine"),
+        ("map a.log b.log", "unrecognized arguments: b.log\n"),
+    ],
+)
+def test_a_word_is_taken_whole_or_refused_with_the_nearest_one(words, said, capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(words.split())
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
     "words",
     [
         "topic list --robot lab",

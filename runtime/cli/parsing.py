@@ -1,0 +1,43 @@
+"""The parser of verbs and actions: takes whole names alone, and says what a mistyped one is near to."""
+
+import argparse
+import difflib
+from collections.abc import Iterable
+from typing import Any, NoReturn
+
+
+class Parser(argparse.ArgumentParser):
+    """An `ArgumentParser` that guesses nothing and suggests; the parsers made under it are of its kind."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **{**kwargs, "allow_abbrev": False})
+
+    def refuse(self, unknown: list[str]) -> NoReturn:
+        """End with the words that nobody took, and what the first option among them is near to."""
+        option = next((word.partition("=")[0] for word in unknown if word.startswith("--")), "")
+        known = self._options()
+        hint = "; write it at the end of the line" if option in known else _hint(option, known)
+        self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+
+    def _options(self) -> list[str]:
+        """Return the options of this parser and of those under it."""
+        options = []
+        for action in self._actions:
+            options += [option for option in action.option_strings if option.startswith("--")]
+            if isinstance(action, argparse._SubParsersAction):
+                options += [option for child in action.choices.values() for option in child._options()]
+        return options
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Refuse what is no choice, with the nearest one where there is one, else with all of them."""
+        if action.choices is None or value in action.choices:
+            return
+        choices = [str(choice) for choice in action.choices]
+        said = _hint(str(value), choices) or f"; choose from {', '.join(choices)}"
+        raise argparse.ArgumentError(action, f"invalid choice: {value!r}{said}")
+
+
+def _hint(word: str, known: Iterable[str]) -> str:
+    """Return the known word that this one is like, in words; empty if there is none."""
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return f"; did you mean {near[0]!r}?" if near else ""
