@@ -62,7 +62,12 @@ def _with_session(report: dict[str, Any], path: Path) -> dict[str, Any]:
         report["missing"].append(str(error))
         return report | {"kind": "session", "session": record}
     painted = {name: int((parts.layer["paints"] == number).sum()) for name, number in PAINTS.items()}
-    held = {"key_scans": len(parts.posterior["keys"]), "painted_cells": painted}
+    held = {
+        "resolution_m": parts.resolution_m,
+        "origin_m": list(parts.origin_m),
+        "key_scans": len(parts.posterior["keys"]),
+        "painted_cells": painted,
+    }
     return report | {"kind": "session", "session": record | held}
 
 
@@ -120,7 +125,7 @@ def _text(value: Any) -> str:
         return f"{value:.6g}"
     if isinstance(value, dict):
         return ", ".join(
-            f"{key}=({_text(one)})" if isinstance(one, dict) else f"{key}={_text(one)}"
+            f"{key}=({_text(one)})" if isinstance(one, dict | list) else f"{key}={_text(one)}"
             for key, one in value.items()
         )
     if isinstance(value, list):

@@ -2,10 +2,12 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from runtime.cli import main
 from runtime.formats.mcap_log import McapChannel
+from runtime.formats.session import Parts, SessionWriter
 from runtime.recordings.recording import Recording, RecordingConfig
 
 S = 10**9
@@ -102,6 +104,24 @@ def test_what_has_parts_of_its_own_is_in_brackets(tmp_path, capsys):
     (tmp_path / "run.json").write_text('{"session": {"drives": 2, "cells": {"wall": 3, "erased": 0}}}')
     assert main(["info", str(tmp_path)]) == 0
     assert "session              drives=2, cells=(wall=3, erased=0)\n" in capsys.readouterr().out
+
+
+def test_people_read_rounded_numbers_of_a_session_and_machines_exact_ones(tmp_path, capsys):
+    arrays = {"paints": np.zeros(0, np.uint8)}
+    parts = Parts(
+        posterior={"keys": np.arange(4)},
+        config="",
+        trajectory=b"",
+        picture=b"",
+        resolution_m=0.05,
+        origin_m=(-19.700000000000003, 2.0),
+        layer=arrays,
+    )
+    SessionWriter(tmp_path / "a.mcap", {"version": "1.2"}).finish(parts)
+    _, report = info(capsys, tmp_path / "a.mcap")
+    assert report["session"]["origin_m"] == [-19.700000000000003, 2.0]
+    main(["info", str(tmp_path / "a.mcap")])
+    assert "resolution_m=0.05, origin_m=(-19.7, 2), key_scans=4" in capsys.readouterr().out
 
 
 def test_a_results_folder_tells_what_made_it(tmp_path, capsys):

@@ -1,5 +1,6 @@
 """`hallway map`: a log in, a results folder out, or one clear line and nothing."""
 
+import base64
 import hashlib
 import json
 import os
@@ -65,6 +66,12 @@ def test_every_scan_has_a_pose_under_its_raw_stamp_in_file_order(log, tmp_path, 
     assert report["scans"] == SCANS
     assert report["times_real_time"] > 0
     assert set(os.listdir(tmp_path / "run")) >= {"map.pgm", "map.yaml", "map.png", "metrics.json", "run.json"}
+
+
+def test_the_report_has_the_picture_of_the_map_as_it_is(log, tmp_path):
+    assert main(["map", str(log), "--out", str(tmp_path / "run")]) == 0
+    picture = base64.b64encode((tmp_path / "run" / "map.png").read_bytes()).decode()
+    assert picture in (tmp_path / "run" / "report.html").read_text()
 
 
 def test_the_trajectory_is_where_the_laser_went(log, tmp_path):
