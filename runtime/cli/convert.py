@@ -1,13 +1,13 @@
 """Turn a laser log, recording or trajectory into another format, or a cut recording into a whole one."""
 
 import argparse
-import json
 import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.for_machines import print_json
 from runtime.errors import ConfigError, DataLostError
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         shutil.rmtree(unfinished, ignore_errors=True)
     report = {"source": str(source), "target": str(target), "kind": kind, **report}
     if args.json:
-        print(json.dumps(report))
+        print_json(report)
     else:
         print(f"{target}: {report['messages']} {report['what']}")
         for one in report["not_held"]:

@@ -4,11 +4,12 @@ Each line says what was looked at, what was found, what is needed, and what to d
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from runtime.cli.for_machines import print_json
 
 if TYPE_CHECKING:
     from runtime.cli.checkup.finding import Finding
@@ -41,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
             _print(finding)
     code = exit_code(findings)
     if args.json:
-        print(json.dumps({"works": code == 0, "findings": [finding.as_dict() for finding in findings]}))
+        print_json({"works": code == 0, "findings": [finding.as_dict() for finding in findings]})
     else:
         print({0: "it would work", 3: "there is no laser"}.get(code, "it would not work"))
     return code

@@ -1,11 +1,11 @@
 """Compare a trajectory with ground truth: relations of Kümmerle et al., or a reference trajectory."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.for_machines import print_json
 from runtime.errors import ConfigError, DataLostError
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         trajectory = Trajectory(trajectory.stamps_ns, mounted)
     report = _relations(args, trajectory) if args.relations else _reference(args, trajectory)
     if args.json:
-        print(json.dumps(report))
+        print_json(report)
     else:
         _print_table(report)
     if report["compared"] < report["truths"]:

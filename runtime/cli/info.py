@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from runtime.cli.for_machines import print_json
 from runtime.errors import DataLostError
 
 PAINTS = {"erased": 1, "wall": 2, "keep_out": 3}
@@ -32,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         report = _log(path, args.topic)
     if args.json:
-        print(json.dumps(report))
+        print_json(report)
     else:
         _print(report)
     return int(DataLostError.exit_code) if report.get("missing") else 0

@@ -1,7 +1,6 @@
 """Paint on a saved map: erase, draw walls, keep robots out; the session keeps it as a layer."""
 
 import argparse
-import json
 import os
 import shutil
 import sys
@@ -9,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from runtime.cli.for_machines import print_json
 from runtime.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     write(folder, saved, layer)
     counts = {paint.name.lower(): layer.count(paint) for paint in Paint}
     if args.json:
-        print(json.dumps({"out": str(folder), "cells": counts, "left_alone": left_alone}))
+        print_json({"out": str(folder), "cells": counts, "left_alone": left_alone})
         return 0
     told = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
     also = ", keepout.pgm + keepout.yaml" if (folder / "keepout.yaml").is_file() else ""

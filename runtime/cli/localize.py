@@ -1,10 +1,10 @@
 """Follow the laser of a log on a saved map, from an unknown start; the map stays as it is."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
+from runtime.cli.for_machines import print_json
 from runtime.cli.map import check_scanner, check_seed, feed, stop_on_signal
 from runtime.cli.progress import Progress
 from runtime.cli.whereabouts import Whereabouts
@@ -24,7 +24,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the trajectory: 0 done, 4 scans missing, 5 not found or lost at the end, 130 after Ctrl-C."""
     from runtime.cli.compiling import compile_here
-    from runtime.config import plain
     from runtime.formats.logs import open_log
     from runtime.reports.results import check_free, save
 
@@ -52,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         save(out, offline.result(log, {"interrupted": True} if interrupted else None))
         report["out"] = str(out)
     if args.json:
-        print(json.dumps(plain(report)))
+        print_json(report)
     elif offline.found:
         print(f"{progress.done} scans; {out}/: trajectory.tum on the saved map, map.png with the way")
     if not offline.found:

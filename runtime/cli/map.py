@@ -1,7 +1,6 @@
 """Make a map from a laser log, offline, from every scan."""
 
 import argparse
-import json
 import signal
 import sys
 from collections.abc import Iterator
@@ -10,6 +9,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.for_machines import print_json
 from runtime.cli.patience import told
 from runtime.cli.progress import Progress
 from runtime.cli.whereabouts import Whereabouts
@@ -150,10 +150,9 @@ def _save(
 
 
 def _say(report: dict[str, Any], as_json: bool) -> None:
-    from runtime.config import plain
 
     if as_json:
-        print(json.dumps(plain(report)))
+        print_json(report)
         return
     states = ", ".join(f"{count} {name}" for name, count in report["states"].items())
     print(

@@ -1,13 +1,13 @@
 """Make our counterpart of the paper's figures and tables from simulated buildings and from logs."""
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.for_machines import print_json
 from runtime.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ def run(args: argparse.Namespace) -> int:
     from runtime.cli.study.drives import BUILDINGS
     from runtime.config import refuse_unknown
     from runtime.formats.logs import open_log
+    from runtime.reports.results import to_json
 
     names = list(BUILDINGS) if args.buildings is None else args.buildings
     refuse_unknown(names, list(BUILDINGS), "--buildings", what="building")
@@ -64,9 +65,9 @@ def run(args: argparse.Namespace) -> int:
     (args.out / "tables.md").write_text(document.markdown(page), encoding="utf-8")
     (args.out / "index.html").write_text(document.web_page(page), encoding="utf-8")
     report = {"buildings": buildings, "hurried": hurried, "logs": logs}
-    (args.out / "numbers.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    (args.out / "numbers.json").write_text(to_json(report), encoding="utf-8")
     if args.json:
-        print(json.dumps({"out": str(args.out), **report}))
+        print_json({"out": str(args.out), **report})
     else:
         print(f"{document.markdown(told)}\n{args.out}/index.html: this with the figures")
     return 0

@@ -1,7 +1,6 @@
 """Record the topics of a running robot to MCAP files, up to the last second whatever happens."""
 
 import argparse
-import json
 import os
 import signal
 import sys
@@ -11,6 +10,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from runtime.cli.for_machines import print_json
 from runtime.cli.which_robot import add_robot
 from runtime.errors import ConfigError, DataLostError
 
@@ -110,7 +110,7 @@ def _report(recording: Any, lacking: bool, where: str, as_json: bool) -> int:
     counts = recording.counts
     report = {"files": [str(path) for path in recording.files], "written": counts.written}
     report |= {"lost": counts.total_lost, "stopped": recording.stopped}
-    print(json.dumps(report)) if as_json else _say(recording, lacking)
+    print_json(report) if as_json else _say(recording, lacking)
     if lacking:
         print(f"hallway record: no scan came from {where}; does its laser run?", file=sys.stderr)
     return int(DataLostError.exit_code) if counts.total_lost or recording.stopped else 0
@@ -160,7 +160,7 @@ def _keep(args: argparse.Namespace, folder: Path) -> int:
         raise ConfigError(f"{folder}: exists already; choose another folder with --out")
     files = keep_ring(ring.readlink(), folder, within_s=KEEP_WAIT_S)
     report = {"folder": str(folder), "files": [path.name for path in files]}
-    print(json.dumps(report) if args.json else f"{folder}/: {', '.join(report['files']) or 'nothing'}")
+    print_json(report) if args.json else print(f"{folder}/: {', '.join(report['files']) or 'nothing'}")
     return 0 if files else 1
 
 
@@ -173,7 +173,7 @@ def _keep_there(args: argparse.Namespace) -> int:
     with ZenohBus(gate.visit(args.robot)) as bus:
         folders = ask_to_keep(bus, args.robot)
     report = {"folders_there": folders}
-    print(json.dumps(report) if args.json else f"on the robot: {', '.join(folders) or 'no ring'}")
+    print_json(report) if args.json else print(f"on the robot: {', '.join(folders) or 'no ring'}")
     return 0 if folders else 1
 
 

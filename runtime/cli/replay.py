@@ -1,7 +1,6 @@
 """Play a recording onto the bus, as a robot of its own, at its own pace or another."""
 
 import argparse
-import json
 import os
 import re
 import sys
@@ -12,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.for_machines import print_json
 from runtime.cli.replay_keys import HELP, Keys
 from runtime.errors import ConfigError, DataLostError
 
@@ -186,7 +186,7 @@ def _report(played: "Played", recorded: "Recorded", args: argparse.Namespace) ->
     report: dict[str, Any] = {"sent": played.messages, "worst_late_ms": round(late_ms, 3)}
     report |= {"gaps": recorded.gaps(), "outages": recorded.outages(), "losses": recorded.losses()}
     if args.json:
-        print(json.dumps(report))
+        print_json(report)
     else:
         sent = ", ".join(f"{count} {name}" for name, count in played.messages.items()) or "nothing"
         print(f"sent {sent}; at most {late_ms:.1f} ms late")

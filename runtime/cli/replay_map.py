@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.for_machines import print_json
 from runtime.errors import ConfigError, DataLostError, HallwayError
 
 if TYPE_CHECKING:
@@ -167,7 +168,7 @@ def _report(out: Path, recorded: "Recorded", code: int, as_json: bool) -> int:
         "losses": played["losses"],
     }
     if as_json:
-        print(json.dumps(report))
+        print_json(report)
     else:
         print(f"{out}/: {report['mapped']} of {report['sent']} scans mapped")
         print_gaps("not in the recording", report["gaps"])

@@ -12,6 +12,8 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.for_machines import print_json
+
 if TYPE_CHECKING:
     from runtime.graph import Graph
     from runtime.supervision.child import Child
@@ -323,9 +325,7 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
     if report["reason"]:
         print(f"hallway up: {report['reason']}", file=sys.stderr)
     if as_json:
-        from runtime.reports.results import to_json
-
-        print(json.dumps(json.loads(to_json(report))))
+        print_json(report)
         return
     latency = report["metrics"].get("latency", {})
     scans, mapped = latency.get("scans", 0), latency.get("mapped", 0)
