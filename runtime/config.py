@@ -124,8 +124,10 @@ def load_yaml(path: Path) -> Any:
     """Read a YAML file; raises ConfigError with the line where it is broken."""
     try:
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not text: byte 0x{error.object[error.start]:02x} found") from error
     return parse_yaml(text, str(path))
 
 

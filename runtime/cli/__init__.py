@@ -42,6 +42,8 @@ EXIT_CODES = (
     "5 position lost, 130 after Ctrl-C with everything saved"
 )
 
+WRONG_PATHS = (FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; return its exit code."""
@@ -75,7 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     except Exception as error:
         code = exit_code_of(error)
-        if code is None and isinstance(error, FileNotFoundError | IsADirectoryError | NotADirectoryError):
+        if code is None and isinstance(error, WRONG_PATHS):
             code = 2
         elif code is None and isinstance(error, OSError):
             code = 1

@@ -21,12 +21,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print what is there; 0 when it is whole, 4 when something is missing."""
+    from runtime.formats.mcap_log import is_mcap
     from runtime.reports.results import RUN_FILE
 
     path: Path = args.file
     if path.is_dir() and (path / RUN_FILE).is_file():
         report = _results(path)
-    elif _is_recording(path):
+    elif is_mcap(path):
         from runtime.recordings.info import describe
 
         report = _with_session(describe(path), path)
@@ -37,15 +38,6 @@ def run(args: argparse.Namespace) -> int:
     else:
         _print(report)
     return int(DataLostError.exit_code) if report.get("missing") else 0
-
-
-def _is_recording(path: Path) -> bool:
-    from runtime.formats.mcap_log import MAGIC
-
-    if path.is_dir():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(MAGIC)) == MAGIC
 
 
 def _with_session(report: dict[str, Any], path: Path) -> dict[str, Any]:

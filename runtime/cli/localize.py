@@ -25,18 +25,20 @@ def run(args: argparse.Namespace) -> int:
     """Write the trajectory: 0 done, 4 scans missing, 5 not found or lost at the end, 130 after Ctrl-C."""
     from runtime.cli.compiling import compile_here
     from runtime.formats.logs import open_log
-    from runtime.reports.results import check_free, save
+    from runtime.formats.session import check_session
+    from runtime.reports.results import check_free, default_folder, save
 
     check_seed(args.seed)
     log = open_log(args.log, args.topic)
+    check_session(args.session)
+    out = args.out or default_folder(args.log).with_name(f"{default_folder(args.log).name}-on-map")
+    check_free(out)
     compile_here("localize")
     from runtime.nodes import saved as sessions
-    from runtime.nodes.offline import OfflineRun, default_folder
+    from runtime.nodes.offline import OfflineRun
 
     saved = sessions.load(args.session)
     check_scanner(log, saved)
-    out = args.out or default_folder(args.log).with_name(f"{default_folder(args.log).name}-on-map")
-    check_free(out)
     for notice in log.notices + log.losses:
         print(f"hallway localize: {notice}", file=sys.stderr)
     offline = OfflineRun(

@@ -49,14 +49,22 @@ def run(args: argparse.Namespace) -> int:
     Also 5 where the drive was not found on the saved map; the results are then a map of its own.
     """
     from runtime.cli.compiling import compile_here
+    from runtime.config import load_yaml
     from runtime.formats.logs import open_log
-    from runtime.reports.results import check_free
+    from runtime.formats.session import check_session
+    from runtime.reports.results import check_free, default_folder
 
     check_seed(args.seed)
     log = open_log(args.log, args.topic)
+    out = args.out or default_folder(args.log)
+    check_free(out)
+    if args.onto is not None:
+        check_session(args.onto)
+    if args.config is not None:
+        load_yaml(args.config)
     compile_here("map")
     from runtime.nodes import saved as sessions
-    from runtime.nodes.offline import OfflineRun, default_folder
+    from runtime.nodes.offline import OfflineRun
 
     onto = sessions.load(args.onto) if args.onto else None
     if onto is not None:
@@ -64,8 +72,6 @@ def run(args: argparse.Namespace) -> int:
     recorded = log.run_seed or 0 if onto is None else onto.session.seed
     seed = recorded if args.seed is None else args.seed
     config = _config(args.config, log, onto)
-    out = args.out or default_folder(args.log)
-    check_free(out)
     for notice in log.notices + log.losses:
         print(f"hallway map: {notice}", file=sys.stderr)
     offline = OfflineRun(config, seed, onto)
@@ -150,7 +156,6 @@ def _save(
 
 
 def _say(report: dict[str, Any], as_json: bool) -> None:
-
     if as_json:
         print_json(report)
         return

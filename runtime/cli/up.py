@@ -72,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the graph; 0 when done, 130 after Ctrl-C with everything saved, else why it failed."""
     from runtime import graph as graphs
     from runtime.errors import ConfigError
+    from runtime.formats.session import check_session
     from runtime.graph_on_map import on_map
 
     file = graphs.find(args.graph)
@@ -83,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
         return _run(args, file)
     if args.service is not None:
         raise ConfigError("--on with --service: give the mapper of a graph the session, and install that")
+    check_session(args.on)
     with tempfile.TemporaryDirectory(prefix="hallway-") as folder:
         return _run(args, on_map(file, args.on, args.extend, Path(folder)))
 

@@ -49,11 +49,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Show until the window is closed, the robot ends (0) or Ctrl-C (130)."""
     from runtime.nodes import viewer
+    from runtime.reports.results import check_writable
 
     if args.web and args.save:
         raise ConfigError("--web and --save: choose one")
     if args.save is not None and args.save.exists():
         raise ConfigError(f"--save {args.save}: exists already")
+    if args.save is not None:
+        if args.save.suffix != ".rrd":
+            raise ConfigError(f"--save {args.save}: must end in .rrd, to be opened again")
+        check_writable(args.save)
+        args.save.parent.mkdir(parents=True, exist_ok=True)
     try:
         config = viewer.Config(
             mode="web" if args.web else "save" if args.save else "auto",

@@ -203,9 +203,3 @@ class OfflineRun:
             ]
             metrics["sharpness"] = asdict(sharpness(points_map, map_t_laser[:, :2]))
         return metrics
-
-
-def default_folder(log: Path, results: Path = Path("results")) -> Path:
-    """Return where the results of a log go when nobody says: `results/<name of the log>`."""
-    name = log.name.split(".")[0] or log.name
-    return results / name

@@ -137,6 +137,12 @@ def new_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
+def default_folder(log: Path, results: Path = Path("results")) -> Path:
+    """Return where the results of a log go when nobody says: `results/<name of the log>`."""
+    name = log.name.split(".")[0] or log.name
+    return results / name
+
+
 def check_free(folder: Path) -> None:
     """Refuse a results folder that is something else, before any work is done; raises ConfigError."""
     if folder.is_dir():
@@ -144,9 +150,14 @@ def check_free(folder: Path) -> None:
             raise ConfigError(f"{folder}: holds other files and no {RUN_FILE}; choose another folder")
     elif folder.exists():
         raise ConfigError(f"{folder}: is a file, must be a folder or not exist")
-    parent = next(one for one in folder.absolute().parents if one.exists())
+    check_writable(folder)
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a file or folder that cannot be made where it shall be, before any work; raises ConfigError."""
+    parent = next(one for one in path.absolute().parents if one.exists())
     if not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise ConfigError(f"{folder}: {parent} cannot be written to")
+        raise ConfigError(f"{path}: {parent} cannot be written to")
 
 
 def link_latest(folder: Path) -> None:

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,6 +7,7 @@ from PIL import Image
 
 from runtime.cli import main
 from runtime.cli.study import drives, figures, stages
+from runtime.formats.logs import open_log
 from runtime.reports.picture import HITS, PATH
 
 
@@ -59,6 +61,16 @@ def test_a_log_without_truth_is_told_by_how_crisp_its_map_is(tmp_path):
     assert (out / "fig8-map-walk.png").is_file()
 
 
+def test_a_log_that_lost_something_is_studied_and_named(tmp_path, monkeypatch, capsys):
+    log, out = tmp_path / "walk.log", tmp_path / "paper"
+    write_carmen(log, drives.drive("doorway", 30, 1))
+    lossy = replace(open_log(log), losses=("walk.log: the file was cut",))
+    monkeypatch.setattr("runtime.formats.logs.open_log", lambda path: lossy)
+    assert main(["paper", "--out", str(out), "--scans", "20", "--buildings", "--logs", str(log)]) == 4
+    assert "hallway paper: walk.log: the file was cut\n" in capsys.readouterr().err
+    assert (out / "index.html").is_file()
+
+
 def write_carmen(path, driven):
     lines = []
     for number, scan in enumerate(driven.scans):
@@ -77,7 +89,12 @@ def test_errors_of_the_truth_itself_are_none():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "message"), [(["--scans", "3"], "--scans = 3"), (["--buildings", "rom"], "rom")]
+    ("wrong", "message"),
+    [
+        (["--scans", "3"], "--scans = 3"),
+        (["--buildings", "rom"], "rom"),
+        (["--out", "/dev/null/paper"], "/dev/null cannot be written to"),
+    ],
 )
 def test_a_wrong_wish_is_one_clear_line(wrong, message, tmp_path, capsys):
     assert main(["paper", "--out", str(tmp_path / "p"), *wrong]) == 2

@@ -61,6 +61,7 @@ def test_a_verb_gets_its_arguments_and_gives_the_exit_code(verb):
         ("from runtime.errors import DataLostError; raise DataLostError('3 scans')", 4, "3 scans"),
         ("from drivers.errors import DeviceError; raise DeviceError('no laser')", 3, "no laser"),
         ("open('/no/such/file')", 2, "/no/such/file: No such file or directory"),
+        ("raise PermissionError(13, 'Permission denied', 'a.clf')", 2, "a.clf: Permission denied"),
         ("raise OSError(5, 'Input/output error', '/dev/ttyACM0')", 1, "ttyACM0: Input/output error"),
     ],
 )

@@ -128,6 +128,21 @@ def test_odd_input_is_told_before_the_run(log, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
+    "arguments",
+    [
+        ["map", "{log}", "--continue", "{log}"],
+        ["map", "{log}", "--config", "nowhere.yaml"],
+        ["map", "{log}", "--out", "{log}"],
+        ["localize", "{log}", "{log}"],
+        ["localize", "{log}", "nowhere.clf"],
+    ],
+)
+def test_nobody_waits_for_loops_to_be_compiled_before_what_is_missing_is_said(log, monkeypatch, arguments):
+    monkeypatch.setattr("runtime.cli.compiling.compile_here", lambda verb: pytest.fail("compiles"))
+    assert main([word.format(log=log) for word in arguments]) == 2
+
+
+@pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["{empty}"], "the file is empty"),

@@ -32,7 +32,7 @@ def shown(file: Path) -> Shown:
 
     Raises:
         ConfigError: It holds nothing that can be shown.
-        FormatError: It is no MCAP file.
+        FormatError: It is no MCAP file, and no results folder.
         CutSessionError: A session whose end is missing: its scans alone lie nowhere.
     """
     session = _session(file)
@@ -67,6 +67,8 @@ def draw(content: Shown, canvas: Canvas, stopping: Callable[[], bool] = lambda: 
 
 
 def _session(file: Path) -> Session | None:
+    if file.is_dir():
+        return read_session(file)
     try:
         return read_session(file)
     except CutSessionError:
