@@ -88,6 +88,8 @@ def _value(hint: Any, value: Any, where: str) -> Any:
             raise ConfigError(f"{where} = {value!r}, must be one of {', '.join(m.name for m in hint)}")
         return named[str(value)]
     if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        if math.isnan(value):
+            raise ConfigError(f"{where} = {value!r}, must be a number")
         return float(value)
     if hint is Path and isinstance(value, str):
         return Path(value)

@@ -232,6 +232,12 @@ def _placed(value: Any, run_dir: Path) -> Any:
     return [_placed(item, run_dir) for item in value] if isinstance(value, list) else value
 
 
+def check_robot(name: str, option: str) -> None:
+    """Refuse what a graph would refuse as the name of its robot; raises ConfigError."""
+    if not _NAME.match(name):
+        raise ConfigError(f"{option} = {name!r}, must be lower-case letters, digits and underscores")
+
+
 def main(argv: list[str] | None = None) -> int:
     """Check a graph in full and print it resolved, as JSON: `python -m runtime.graph FILE [--headless]`."""
     import argparse

@@ -38,7 +38,9 @@ def run(args: argparse.Namespace) -> int:
     """Do what was asked; 2 where it cannot be."""
     from runtime.access import gate, keys
     from runtime.errors import ConfigError
+    from runtime.graph import check_robot
 
+    check_robot(args.robot, "--robot")
     if args.action == "make":
         made = keys.make(args.robot, args.host)
         print(f"{made.folder}: keys of robot {args.robot!r}; next: hallway keys invite GUEST")

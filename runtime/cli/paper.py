@@ -38,11 +38,15 @@ def run(args: argparse.Namespace) -> int:
     The cores share the drives out.
     """
     from runtime.cli.compiling import compile_here
+    from runtime.cli.map import check_seed
     from runtime.formats.logs import open_log
     from runtime.reports.results import check_writable, to_json
 
     if not 20 <= args.scans <= 100_000:
         raise ConfigError(f"--scans = {args.scans}, must be in [20, 100000]")
+    check_seed(args.seed)
+    if args.out.is_file():
+        raise ConfigError(f"{args.out}: is a file, must be a folder or not exist")
     check_writable(args.out)
     lost = False
     for log in map(open_log, args.logs):  # what is wrong with one is said before the work begins

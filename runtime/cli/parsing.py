@@ -2,7 +2,8 @@
 
 import argparse
 import difflib
-from collections.abc import Iterable
+import math
+from collections.abc import Callable, Iterable
 from typing import Any, NoReturn
 
 
@@ -35,6 +36,39 @@ class Parser(argparse.ArgumentParser):
         choices = [str(choice) for choice in action.choices]
         said = _hint(str(value), choices) or f"; choose from {', '.join(choices)}"
         raise argparse.ArgumentError(action, f"invalid choice: {value!r}{said}")
+
+
+def number(*, least: float = -math.inf) -> Callable[[str], float]:
+    """Return what reads a finite number that is not below `least`, as the `type` of an option."""
+
+    def read(text: str) -> float:
+        value: float = _read(float, "a number", text)
+        if not (math.isfinite(value) and value >= least):
+            rule = "be finite" if least == -math.inf else f"be at least {least:g} and finite"
+            raise argparse.ArgumentTypeError(f"{text}, must {rule}")
+        return value
+
+    return read
+
+
+def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:
+    """Return what reads a whole number from `least` to `most`, as the `type` of an option."""
+
+    def read(text: str) -> int:
+        value: int = _read(int, "a whole number", text)
+        if value < least or (most is not None and value > most):
+            rule = f"at least {least}" if most is None else f"in [{least}, {most}]"
+            raise argparse.ArgumentTypeError(f"{text}, must be {rule}")
+        return value
+
+    return read
+
+
+def _read(kind: type, what: str, text: str) -> Any:
+    try:
+        return kind(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}, must be {what}") from None
 
 
 def _hint(word: str, known: Iterable[str]) -> str:

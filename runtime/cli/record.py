@@ -11,7 +11,8 @@ from types import FrameType
 from typing import Any
 
 from runtime.cli.for_machines import print_json
-from runtime.cli.which_robot import add_robot
+from runtime.cli.parsing import number
+from runtime.cli.which_robot import DOMAIN, add_robot
 from runtime.errors import ConfigError, DataLostError
 
 KEEP_WAIT_S = 90.0
@@ -21,10 +22,12 @@ KEEP_WAIT_S = 90.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
     add_robot(parser)
-    parser.add_argument("--domain", type=int, metavar="N", help="ROS domain (default the robot's)")
+    parser.add_argument("--domain", type=DOMAIN, metavar="N", help="ROS domain (default the robot's)")
     parser.add_argument("--out", type=Path, metavar="F.mcap", help="default recordings/NAME-TIME.mcap")
     parser.add_argument("--topics", nargs="+", default=[], metavar="T", help="which topics (default all)")
-    parser.add_argument("--duration", type=float, default=0.0, metavar="S", help="end after S seconds")
+    parser.add_argument(
+        "--duration", type=number(least=0.0), default=0.0, metavar="S", help="end after S seconds"
+    )
     parser.add_argument("--split-mb", type=float, default=0.0, metavar="MB", help="new file after so much")
     parser.add_argument("--split-s", type=float, default=0.0, metavar="S", help="new file after so long")
     parser.add_argument(
@@ -140,7 +143,7 @@ def _config(args: argparse.Namespace, out: Path) -> Any:
         topics = tuple(name.strip("/") for name in args.topics)
         return Config(file=str(out), topics=topics, duration_s=args.duration, recording=recording)
     except ValueError as error:
-        raise ConfigError(f"hallway record: {error}") from error
+        raise ConfigError(str(error)) from error
 
 
 def _keep(args: argparse.Namespace, folder: Path) -> int:

@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
             memory_mb=args.memory,
         )
     except ValueError as error:
-        raise ConfigError(f"hallway view: {error}") from error
+        raise ConfigError(str(error)) from error
     with tempfile.TemporaryDirectory(prefix="hallway-view-") as folder, _signals() as asked:
         if args.file is None:
             code = _show_robot(args, config, Path(folder), asked)

@@ -93,6 +93,8 @@ def test_errors_of_the_truth_itself_are_none():
     [
         (["--scans", "3"], "--scans = 3"),
         (["--buildings", "rom"], "rom"),
+        (["--seed", "-1"], "--seed = -1, must be in"),
+        (["--out", __file__], "is a file, must be a folder"),
         (["--out", "/dev/null/paper"], "/dev/null cannot be written to"),
     ],
 )

@@ -118,6 +118,11 @@ def test_an_unknown_option_is_said_under_the_usage_of_its_verb(verb, capsys):
         ),
         ("mapp a.log", "hallway: error: argument VERB: invalid choice: 'mapp'; did you mean 'map'?"),
         ("keys invite me --role king", "invalid choice: 'king'; choose from viewer, operator, machine"),
+        ("replay a.mcap --start nan", "argument --start: nan, must be at least 0 and finite"),
+        ("evaluate a.tum --reference b.tum --laser-in-base inf 0 0", "inf, must be finite"),
+        ("topic --domain 233 list", "argument --domain: 233, must be in [0, 232]"),
+        ("logs -n -5", "argument -n/--lines: -5, must be at least 0"),
+        ("doctor --seconds x", "argument --seconds: 'x', must be a number"),
         ("map a.log b.log", "unrecognized arguments: b.log\n"),
     ],
 )

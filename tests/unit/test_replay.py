@@ -230,7 +230,8 @@ def test_what_is_not_there_cannot_be_played(recording, config, said):
 
 
 @pytest.mark.parametrize(
-    "config", [{"rate": -1.0}, {"rate": 1000.0}, {"start_s": -1.0}, {"duration_s": -1.0}]
+    "config",
+    [{"rate": -1.0}, {"rate": 1000.0}, {"start_s": -1.0}, {"start_s": np.nan}, {"duration_s": np.inf}],
 )
 def test_a_wrong_configuration_is_refused(config):
     with pytest.raises(ValueError, match=next(iter(config))):
