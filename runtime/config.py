@@ -4,7 +4,6 @@ Every error is a `ConfigError` that names place, rule and value; an unknown key 
 """
 
 import dataclasses
-import difflib
 import enum
 import math
 import textwrap
@@ -17,6 +16,7 @@ from typing import Any, Literal, TypeVar, Union
 import yaml
 
 from runtime.errors import ConfigError
+from runtime.guess import meant
 
 T = TypeVar("T")
 
@@ -34,9 +34,7 @@ def refuse_unknown(
     """
     for key in keys:
         if key not in known:
-            near = difflib.get_close_matches(str(key), known, n=1)
-            known_text = ", ".join(sorted(known)) or "none"
-            hint = f"; did you mean {near[0]!r}?" if near else f"; known: {known_text}"
+            hint = meant(key, known) or f"; known: {', '.join(sorted(known)) or 'none'}"
             place = f"{where}.{key}" if what == "key" else f"{where} {key}"
             raise ConfigError(f"{place}: unknown {what}{hint}")
 

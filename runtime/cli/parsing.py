@@ -1,10 +1,11 @@
 """The parser of verbs and actions: takes whole names alone, and says what a mistyped one is near to."""
 
 import argparse
-import difflib
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any, NoReturn
+
+from runtime.guess import meant
 
 
 class Parser(argparse.ArgumentParser):
@@ -17,7 +18,7 @@ class Parser(argparse.ArgumentParser):
         """End with the words that nobody took, and what the first option among them is near to."""
         option = next((word.partition("=")[0] for word in unknown if word.startswith("--")), "")
         known = self._options()
-        hint = "; write it at the end of the line" if option in known else _hint(option, known)
+        hint = "; write it at the end of the line" if option in known else meant(option, known)
         self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
 
     def _options(self) -> list[str]:
@@ -34,7 +35,7 @@ class Parser(argparse.ArgumentParser):
         if action.choices is None or value in action.choices:
             return
         choices = [str(choice) for choice in action.choices]
-        said = _hint(str(value), choices) or f"; choose from {', '.join(choices)}"
+        said = meant(value, choices) or f"; choose from {', '.join(choices)}"
         raise argparse.ArgumentError(action, f"invalid choice: {value!r}{said}")
 
 
@@ -69,9 +70,3 @@ def _read(kind: type, what: str, text: str) -> Any:
         return kind(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r}, must be {what}") from None
-
-
-def _hint(word: str, known: Iterable[str]) -> str:
-    """Return the known word that this one is like, in words; empty if there is none."""
-    near = difflib.get_close_matches(word, list(known), n=1)
-    return f"; did you mean {near[0]!r}?" if near else ""

@@ -12,6 +12,7 @@ from typing import Any
 
 from runtime.cli.for_machines import print_json
 from runtime.cli.parsing import number
+from runtime.cli.patience import told
 from runtime.cli.which_robot import DOMAIN, add_robot
 from runtime.errors import ConfigError, DataLostError
 
@@ -161,10 +162,17 @@ def _keep(args: argparse.Namespace, folder: Path) -> int:
         )
     if folder.exists():
         raise ConfigError(f"{folder}: exists already; choose another folder with --out")
-    files = keep_ring(ring.readlink(), folder, within_s=KEEP_WAIT_S)
+    with told(
+        _tell, f"the newest part is still written; it is kept when it is whole, in {KEEP_WAIT_S:g} s at most"
+    ):
+        files = keep_ring(ring.readlink(), folder, within_s=KEEP_WAIT_S)
     report = {"folder": str(folder), "files": [path.name for path in files]}
     print_json(report) if args.json else print(f"{folder}/: {', '.join(report['files']) or 'nothing'}")
     return 0 if files else 1
+
+
+def _tell(line: str) -> None:
+    print(f"hallway record: {line}", file=sys.stderr, flush=True)
 
 
 def _keep_there(args: argparse.Namespace) -> int:
