@@ -6,6 +6,7 @@ Every error is a `ConfigError` that names place, rule and value.
 
 import graphlib
 import importlib
+import os
 import pkgutil
 import re
 from collections.abc import Collection, Mapping
@@ -230,6 +231,11 @@ def _placed(value: Any, run_dir: Path) -> Any:
     if isinstance(value, Mapping):
         return {key: _placed(item, run_dir) for key, item in value.items()}
     return [_placed(item, run_dir) for item in value] if isinstance(value, list) else value
+
+
+def has_screen() -> bool:
+    """Whether a window can be opened here."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def check_robot(name: str, option: str) -> None:

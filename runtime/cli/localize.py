@@ -5,8 +5,9 @@ import sys
 from pathlib import Path
 
 from runtime.cli.for_machines import print_json
-from runtime.cli.map import check_scanner, check_seed, feed, stop_on_signal
+from runtime.cli.map import check_scanner, check_seed, feed
 from runtime.cli.progress import Progress
+from runtime.cli.stopping import asked_to_stop, insisting
 from runtime.cli.whereabouts import Whereabouts
 from runtime.errors import DataLostError, PositionLostError
 
@@ -44,7 +45,10 @@ def run(args: argparse.Namespace) -> int:
     offline = OfflineRun(
         saved.config, saved.session.seed if args.seed is None else args.seed, saved, fixed=True
     )
-    with stop_on_signal() as stopping, Progress(len(log), log.geometry.period_s, args.json) as progress:
+    with (
+        asked_to_stop(insisting(2)) as stopping,
+        Progress(len(log), log.geometry.period_s, args.json) as progress,
+    ):
         where = Whereabouts(progress.say, log.geometry.period_s)
         feed(offline, log, progress, stopping, where)
     report = {"session": str(saved.session.path), "scans": progress.done, **where.report()}

@@ -1,17 +1,14 @@
 """Make a map from a laser log, offline, from every scan."""
 
 import argparse
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from runtime.cli.for_machines import print_json
 from runtime.cli.patience import told
 from runtime.cli.progress import Progress
+from runtime.cli.stopping import asked_to_stop, insisting
 from runtime.cli.whereabouts import Whereabouts
 from runtime.errors import ConfigError, DataLostError, PositionLostError
 
@@ -75,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
     for notice in log.notices + log.losses:
         print(f"hallway map: {notice}", file=sys.stderr)
     offline = OfflineRun(config, seed, onto)
-    with stop_on_signal() as stopping:
+    with asked_to_stop(insisting(2)) as stopping:
         with Progress(len(log), log.geometry.period_s, args.json) as progress:
             where = Whereabouts(progress.say, log.geometry.period_s) if onto else None
             feed(offline, log, progress, stopping, where)
@@ -128,7 +125,7 @@ def feed(
     offline: "OfflineRun",
     log: "LaserLog",
     progress: Progress,
-    stopping: list[bool],
+    stopping: list[int],
     where: Whereabouts | None = None,
 ) -> None:
     """Take every scan of a log, until asked to stop."""
@@ -165,21 +162,3 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
         f" {report['way_m']:.1f} m driven, {report['known_m2']:.0f} m2 mapped; {states}"
     )
     print(f"{report['out']}/: map.png, report.html, map.pgm + map.yaml, trajectory.tum, session.mcap")
-
-
-@contextmanager
-def stop_on_signal() -> Iterator[list[bool]]:
-    """Turn the first Ctrl-C into a wish to stop after the present scan; the second one ends at once."""
-    stopping: list[bool] = []
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        if stopping:
-            raise KeyboardInterrupt
-        stopping.append(True)
-
-    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stopping
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

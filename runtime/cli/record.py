@@ -2,17 +2,16 @@
 
 import argparse
 import os
-import signal
 import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from runtime.cli.for_machines import print_json
 from runtime.cli.parsing import number
 from runtime.cli.patience import told
+from runtime.cli.stopping import asked_to_stop
 from runtime.cli.which_robot import DOMAIN, add_robot
 from runtime.errors import ConfigError, DataLostError
 
@@ -84,11 +83,6 @@ def _record(args: argparse.Namespace, config: Any, bus: Any, guest: bool) -> int
         run_dir=rundir.run_dir(args.robot),
     )
     presence = rundir.Presence(args.robot)
-    interrupted: list[int] = []
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        interrupted.append(number)
-        port.stop()
 
     def turn(recording: Any) -> None:
         if presence.gone or recording.stopped:
@@ -98,13 +92,8 @@ def _record(args: argparse.Namespace, config: Any, bus: Any, guest: bool) -> int
             _say(recording, lacks_scans(config, recording))
 
     said = [time.monotonic()]
-    before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        with port:
-            recording = recorder.record(port, config, turn, identity, about)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with asked_to_stop(lambda asked: port.stop()) as interrupted, port:
+        recording = recorder.record(port, config, turn, identity, about)
     where = f"robot {args.robot!r} in ROS domain {identity.domain}"
     return _report(recording, lacks_scans(config, recording), where, args.json) or (130 if interrupted else 0)
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from runtime.cli.for_machines import print_json
 from runtime.cli.parsing import number
 from runtime.cli.replay_keys import HELP, Keys
+from runtime.cli.stopping import asked_to_stop
 from runtime.cli.which_robot import DOMAIN
 from runtime.errors import ConfigError, DataLostError
 
@@ -129,7 +130,6 @@ def _stage(robot: str, recorded: "Recorded", domain: int | None) -> Iterator[_St
 def _play(
     stage: _Stage, robot: str, recorded: "Recorded", config: "ReplayConfig", args: argparse.Namespace
 ) -> "Played":
-    import signal
 
     from runtime.messages import Clock, time_of
     from runtime.process.node import BusPort
@@ -160,17 +160,14 @@ def _play(
         if not keys.poll(control, seconds):
             port.stop()
 
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda *_: port.stop()) for number in numbers}
     try:
-        with Keys() as keys, port:
+        with asked_to_stop(lambda asked: port.stop()), Keys() as keys, port:
             port.ready()
             if args.wait:
                 _wait_for_listener(stage, robot, recorded, port)
             return play(recorded, config, control, publish, publish_clock, sleep=sleep)
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        screen.clear()
 
 
 def _wait_for_listener(stage: _Stage, robot: str, recorded: "Recorded", port: Any) -> None:
@@ -213,6 +210,11 @@ class _Screen:
         self._said_s = 0.0
         if self._terminal and not quiet:
             print(HELP, file=sys.stderr)
+
+    def clear(self) -> None:
+        """Make room for what is said at the end."""
+        if self._terminal and not self._quiet:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
     def show(self, now_ns: int) -> None:
         """Say the recorded time."""

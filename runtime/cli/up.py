@@ -2,17 +2,16 @@
 
 import argparse
 import json
-import os
 import signal
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from runtime.cli.for_machines import print_json
+from runtime.cli.stopping import asked_to_stop
 
 if TYPE_CHECKING:
     from runtime.graph import Graph
@@ -111,7 +110,7 @@ def _run(args: argparse.Namespace, file: Path) -> int:
         graph = replace(graph, **changes)
     except ValueError as error:
         raise ConfigError(f"--{error}") from error
-    headless = args.headless or not _has_screen()
+    headless = args.headless or not graphs.has_screen()
     if headless:
         graph = graph.without_screen()
     machine = machines.this_machine(graph, args.host)
@@ -179,10 +178,6 @@ def _install(file: Path, robot: str, args: argparse.Namespace, machine: "Machine
     return 0
 
 
-def _has_screen() -> bool:
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
 def _check(file: Path, headless: bool, machine: "Machine") -> dict[str, Any]:
     """Check every node here in a process of its own, as modules are heavy and this one is light; compile."""
     from runtime.cli.compiling import UNCOMPILED, compile_all
@@ -230,18 +225,14 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
     """Turn until everything has ended; return whether a person ended it."""
     from runtime.process.realtime import notify_init
 
-    asked: list[int] = []
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        if len(asked) > 1:
+    def close(asked: list[int]) -> None:
+        if len(asked) > 2:
             live.supervisor.close()
-        asked.append(number)
 
-    before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     running_since: float | None = None
     is_up = False
     notified = told = 0.0
-    try:
+    with asked_to_stop(close, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)) as asked:
         while not live.supervisor.over:
             live.step()
             now = time.monotonic()
@@ -264,9 +255,6 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> bool:
                     screen.say(f"  {name}: saves what it has; {max(0.0, left_s):.0f} s more at most")
             screen.show(live.status(), live.elapsed_s)
             time.sleep(_TURN_S)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
     return signal.SIGINT in asked
 
 

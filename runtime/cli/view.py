@@ -9,9 +9,9 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.stopping import asked_to_stop, insisting
 from runtime.cli.which_robot import add_robot
 from runtime.errors import ConfigError
 
@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         )
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    with tempfile.TemporaryDirectory(prefix="hallway-view-") as folder, _signals() as asked:
+    with tempfile.TemporaryDirectory(prefix="hallway-view-") as folder, asked_to_stop(insisting(3)) as asked:
         if args.file is None:
             code = _show_robot(args, config, Path(folder), asked)
         elif args.file.suffix == ".rrd":
@@ -186,7 +186,7 @@ def _target(config: "Config", folder: Path, robot: str) -> Iterator[tuple[Any, A
 
 @contextmanager
 def _server(config: "Config", folder: Path) -> Iterator[Any]:
-    from runtime.nodes.viewer import has_screen
+    from runtime.graph import has_screen
     from runtime.nodes.viewing.server import ViewerServer
 
     server = ViewerServer(
@@ -214,21 +214,3 @@ def _say(where: str) -> None:
     else:
         verb = "saving to" if where.endswith(".rrd") else "showing in"
         print(f"{verb} {where}; Ctrl-C ends", flush=True)
-
-
-@contextmanager
-def _signals() -> Iterator[list[int]]:
-    """Collect the signals that ask for the end."""
-    asked: list[int] = []
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        if len(asked) > 1:
-            raise KeyboardInterrupt
-        asked.append(number)
-
-    before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from runtime.bus.memory import MemoryBus
-from runtime.cli import replay_map
+from runtime.cli import replay, replay_map
 from runtime.cli.replay_keys import obey
 from runtime.errors import ConfigError
 from runtime.formats.mcap_log import McapChannel
@@ -185,6 +185,15 @@ def test_the_keys_mean_what_the_help_says():
     assert obey("-", control)
     assert control.rate == 2.0
     assert not obey("q", control)
+
+
+def test_what_is_said_at_the_end_stands_on_a_line_of_its_own(recording, monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    line = replay._Screen(Recorded([recording], ReplayConfig()), Control(), quiet=False)
+    line.show(0)
+    assert capsys.readouterr().err.endswith(" s, 1 x")
+    line.clear()
+    assert capsys.readouterr().err == "\r\x1b[K"
 
 
 def test_parts_of_one_recording_are_played_one_after_the_other(tmp_path):
