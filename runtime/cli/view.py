@@ -17,6 +17,7 @@ from runtime.errors import ConfigError
 
 if TYPE_CHECKING:
     from runtime.nodes.viewer import Config
+    from runtime.nodes.viewing.recording import Shown
 
 _TURN_S = 0.1
 
@@ -148,7 +149,7 @@ def _show_recording(args: argparse.Namespace, config: "Config", folder: Path, as
     from runtime.nodes.viewing.recording import draw, shown
 
     content = shown(args.file)
-    with _target(config, folder, content.name) as (screen, server):
+    with _target(config, folder, content) as (screen, server):
         drawn = draw(content, screen, lambda: bool(asked))
         print(f"{args.file}: {drawn} messages of {content.name!r}", file=sys.stderr)
         if server is None:
@@ -174,14 +175,15 @@ def _show_rrd(file: Path, config: "Config", folder: Path, asked: list[int]) -> i
 
 
 @contextmanager
-def _target(config: "Config", folder: Path, robot: str) -> Iterator[tuple[Any, Any]]:
+def _target(config: "Config", folder: Path, content: "Shown") -> Iterator[tuple[Any, Any]]:
     from runtime.nodes.viewing.screen import Screen
 
+    told = not content.words
     if config.mode == "save":
-        yield Screen(robot, file=Path(config.file)), None
+        yield Screen(content.name, file=Path(config.file), told=told), None
         return
     with _server(config, folder) as server:
-        yield Screen(robot, url=server.url), server
+        yield Screen(content.name, url=server.url, told=told), server
 
 
 @contextmanager

@@ -55,13 +55,16 @@ def draw(content: Shown, canvas: Canvas, stopping: Callable[[], bool] = lambda: 
     scene = Scene(content.name, lambda kind, paint: paint(canvas))
     taken = 0
     for received in content.messages:
+        if content.words and not taken:  # a long session is looked at before its end
+            canvas.at(received.received_ns)
+            canvas.words(content.words)
         scene.take(received)
         taken += 1
         if stopping():
             return taken
     # What was drawn seldom ends as it was last.
     scene.again()
-    if content.words:
+    if content.words:  # over those for a robot that tells nothing of itself
         canvas.words(content.words)
     return taken
 

@@ -56,15 +56,22 @@ class Screen:
     Args:
         name: Of the robot, shown as the recording's name.
         fit: Whether the view moves away when the map outgrows it.
+        told: Whether states, ages and rates are told, too; else there is no place for them.
     """
 
     def __init__(
-        self, name: str, *, url: str | None = None, file: Path | None = None, fit: bool = True
+        self,
+        name: str,
+        *,
+        url: str | None = None,
+        file: Path | None = None,
+        fit: bool = True,
+        told: bool = True,
     ) -> None:
         # 8 ms between drawing and sending; a file waits for 200 ms, and is smaller for it.
         batching = rr.ChunkBatcherConfig.LOW_LATENCY() if url is not None else None
         self._rec = rr.RecordingStream("hallway", send_properties=False, batcher_config=batching)
-        self._fit = fit
+        self._fit, self._told = fit, told
         self._now = np.datetime64(0, "ns")
         self._shown_m: NDArray[np.float64] = np.array(((-6.0, -4.0), (6.0, 4.0)))
         if url is not None:
@@ -217,8 +224,9 @@ class Screen:
             text_log_columns=["loglevel", "body"],
         )
         lanes = ["/state/tracking", "/state/bumper"]
+        words = rrb.TextDocumentView(origin="/state/words", name="State")
         side = rrb.Vertical(
-            rrb.TextDocumentView(origin="/state/words", name="State"),
+            words,
             rrb.StateTimelineView(origin="/state", contents=lanes, name="States"),
             rrb.Tabs(*plots),
             rrb.TextLogView(origin="/log", name="What happened", columns=columns),
@@ -229,7 +237,7 @@ class Screen:
             origin="/world", name=_LEGEND, background=grey, line_grid=False, eye_controls=eye
         )
         return rrb.Blueprint(
-            rrb.Horizontal(side, view, column_shares=[2, 5]),
+            rrb.Horizontal(side if self._told else words, view, column_shares=[2, 5]),
             rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
             rrb.SelectionPanel(state="hidden"),
             rrb.BlueprintPanel(state="hidden"),
