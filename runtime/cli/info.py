@@ -9,6 +9,8 @@ from typing import Any
 from runtime.cli.for_machines import print_json
 from runtime.errors import DataLostError
 
+_DATED_S = 631_152_000.0
+"""1990: no log is older, and no sensor was on for twenty years."""
 PAINTS = {"erased": 1, "wall": 2, "keep_out": 3}
 
 
@@ -100,7 +102,7 @@ def _print(report: dict[str, Any]) -> None:
         if key in ("topics", "missing", "notices", "gaps", "outages") or value is None:
             continue
         if key == "began_s":
-            key, value = "began", f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S} UTC"
+            key, value = "began", _began(value)
         print(f"{key:<20} {_text(value)}")
     if topics:
         print(f"{'topic':<28}{'messages':>9}{'Hz':>8}{'missing':>9}  type")
@@ -111,6 +113,13 @@ def _print(report: dict[str, Any]) -> None:
     for key in ("outages", "notices", "missing"):
         for one in report.get(key, []):
             print(f"{key.rstrip('s'):<20} {one}")
+
+
+def _began(stamp_s: float) -> str:
+    """Return a date, or seconds where the stamps are of a clock that knows none, such as a sensor's own."""
+    if stamp_s < _DATED_S:
+        return f"at {stamp_s:.3f} s of a clock that knows no date"
+    return f"{datetime.fromtimestamp(stamp_s, UTC):%Y-%m-%d %H:%M:%S} UTC"
 
 
 def _text(value: Any) -> str:

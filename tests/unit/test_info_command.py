@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from runtime.cli import main
+from runtime.cli.info import _began
 from runtime.formats.mcap_log import McapChannel
 from runtime.formats.session import Parts, SessionWriter
 from runtime.recordings.recording import Recording, RecordingConfig
@@ -83,7 +84,7 @@ def test_people_get_a_table(tmp_path, capsys):
     recorded(tmp_path / "a.mcap", [1, 2, 5]).close(3 * S)
     assert main(["info", str(tmp_path / "a.mcap")]) == 4
     out = capsys.readouterr().out
-    assert "began                1970-01-01 00:00:00 UTC\n" in out
+    assert "began                at 0.100 s of a clock that knows no date\n" in out
     assert "/robot/scan                         3    5.00        2  sensor_msgs/msg/LaserScan" in out
     assert "missing messages of               time s    first   count\n" in out
     assert "/robot/scan                        0.400        3       2\n" in out
@@ -104,6 +105,14 @@ def test_what_has_parts_of_its_own_is_in_brackets(tmp_path, capsys):
     (tmp_path / "run.json").write_text('{"session": {"drives": 2, "cells": {"wall": 3, "erased": 0}}}')
     assert main(["info", str(tmp_path)]) == 0
     assert "session              drives=2, cells=(wall=3, erased=0)\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("stamp_s", "said"),
+    [(212.57, "at 212.570 s of a clock that knows no date"), (976052857.3, "2000-12-05 21:47:37 UTC")],
+)
+def test_a_beginning_is_a_date_where_the_clock_knows_one(stamp_s, said):
+    assert _began(stamp_s) == said
 
 
 def test_people_read_rounded_numbers_of_a_session_and_machines_exact_ones(tmp_path, capsys):
