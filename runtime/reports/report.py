@@ -198,9 +198,7 @@ def _stretches(
     map_t_laser: NDArray[np.float64], states: NDArray[np.str_], elapsed_s: NDArray[np.float64]
 ) -> str:
     """List where the match did not hold, the longest first."""
-    edges = np.flatnonzero(states[1:] != states[:-1]) + 1
-    begins, ends = np.r_[0, edges], np.r_[edges, len(states)] - 1
-    bad = [(b, e) for b, e in zip(begins, ends, strict=True) if states[b] != STATES[0]]
+    bad = [(begin, end) for begin, end in chart.spells(states) if states[begin] != STATES[0]]
     bad.sort(key=lambda be: elapsed_s[be[0]] - elapsed_s[be[1]])
     lines = []
     for begin, end in bad[:_LATE_STRETCHES]:
