@@ -8,7 +8,7 @@ from PIL import Image
 from runtime.cli import main
 from runtime.cli.study import drives, figures, stages
 from runtime.formats.logs import open_log
-from runtime.reports.picture import HITS, PATH
+from runtime.reports.picture import HITS, PATH, UNKNOWN
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +101,12 @@ def test_errors_of_the_truth_itself_are_none():
 def test_a_wrong_wish_is_one_clear_line(wrong, message, tmp_path, capsys):
     assert main(["paper", "--out", str(tmp_path / "p"), *wrong]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_both_halves_of_the_resampling_figure_show_the_same_ground():
+    image = np.asarray(figures.resampling(drives.drive("doorway", 40, 1), 20))
+    ends = [np.flatnonzero((image[:, column] == UNKNOWN).all(axis=-1))[-1] for column in (3, -3)]
+    assert ends[0] == ends[1]
 
 
 def test_the_curves_have_room_beside_a_low_picture():
