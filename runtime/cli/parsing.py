@@ -65,6 +65,14 @@ def whole_number(least: int, most: int | None = None) -> Callable[[str], int]:
     return read
 
 
+def read_address(text: str) -> str:
+    """Read HOST or HOST:PORT, or nothing, as the `type` of an option."""
+    host, colon, port = text.rpartition(":")
+    if colon and not (host and port.isdecimal() and 1 <= int(port) <= 65535):
+        raise argparse.ArgumentTypeError(f"{text}, must be HOST or HOST:PORT, the port in [1, 65535]")
+    return text
+
+
 def _read(kind: type, what: str, text: str) -> Any:
     try:
         return kind(text)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from runtime.cli.for_machines import print_json
+from runtime.cli.parsing import read_address
 from runtime.cli.stopping import asked_to_stop
 
 if TYPE_CHECKING:
@@ -51,7 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--remote",
         nargs="?",
         const="",
-        metavar="ADDRESS:PORT",
+        type=read_address,
+        metavar="ADDRESS[:PORT]",
         help="let guests with keys in, at this address (default all addresses, port 7448)",
     )
     parser.add_argument(
@@ -118,7 +120,7 @@ def _run(args: argparse.Namespace, file: Path) -> int:
         raise ConfigError(f"--remote: guests are let in on the robot's own machine, {machine.robots}")
     remote = ""
     if machine.is_robot and (args.remote is not None or machine.elsewhere):
-        remote = args.remote or f"0.0.0.0:{keys.PORT}"
+        remote = _door(args.remote or "0.0.0.0")
     if args.service is None:  # under sudo the keys would be looked for in another home
         if remote:
             keys.authority(graph.robot)
@@ -158,6 +160,13 @@ def _run(args: argparse.Namespace, file: Path) -> int:
         report = _save(live, config, out, args, code)
     _say(report, args.json)
     return code
+
+
+def _door(address: str) -> str:
+    """Return address and port at which guests are let in."""
+    from runtime.access import keys
+
+    return address if ":" in address else f"{address}:{keys.PORT}"
 
 
 def _install(file: Path, robot: str, args: argparse.Namespace, machine: "Machine") -> int:

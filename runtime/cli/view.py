@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.parsing import read_address
 from runtime.cli.stopping import asked_to_stop, insisting
 from runtime.cli.which_robot import add_robot
 from runtime.errors import ConfigError
@@ -32,7 +33,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_robot(parser, domain=True)
     parser.add_argument(
-        "--connect", metavar="HOST[:PORT]", help="where the paired robot is now, if it has moved"
+        "--connect",
+        type=read_address,
+        metavar="HOST[:PORT]",
+        help="where the paired robot is now, if it has moved",
     )
     parser.add_argument("--web", action="store_true", help="as a page at 127.0.0.1 instead of a window")
     parser.add_argument("--save", type=Path, metavar="F.rrd", help="into a file instead of a window")

@@ -195,3 +195,13 @@ def test_no_keys_are_made_for_a_robot_that_cannot_be(tmp_path, monkeypatch, caps
         "hallway keys: --robot = '1st', must be lower-case letters, digits and underscores\n"
     )
     assert list(tmp_path.iterdir()) == []
+
+
+def test_nobody_is_on_the_list_whose_invitation_cannot_be_written(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    keys.make("robot", ["h"])
+    out = tmp_path / "a file" / "anna.invitation"
+    (tmp_path / "a file").touch()
+    assert main(["keys", "invite", "anna", "--address", "h", "--out", str(out)]) == 2
+    assert capsys.readouterr().err.endswith(f"{tmp_path / 'a file'} cannot be written to\n")
+    assert keys.authority("robot").roster() == {}
