@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -103,7 +104,10 @@ def _print(report: dict[str, Any]) -> None:
             continue
         if key == "began_s":
             key, value = "began", _began(value)
-        print(f"{key:<20} {_text(value)}")
+        if key == "events":
+            value = f"{len(value)}, in run.json and in the logs"
+        for name, part in _parts(key, value):
+            print(f"{name:<20} {_text(part)}")
     if topics:
         print(f"{'topic':<28}{'messages':>9}{'Hz':>8}{'missing':>9}  type")
         for name, row in topics.items():
@@ -115,6 +119,23 @@ def _print(report: dict[str, Any]) -> None:
             print(f"{key.rstrip('s'):<20} {one}")
 
 
+def _parts(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield what stands on a line of its own: each of what has parts itself, and all the rest together."""
+    wholes = {key: one for key, one in value.items() if _has_parts(one)} if isinstance(value, dict) else {}
+    if _has_parts(value):
+        wholes = value
+    rest = {key: one for key, one in value.items() if key not in wholes} if wholes else value
+    if rest or not wholes:
+        yield name, rest
+    for key, one in wholes.items():
+        yield from _parts(f"{name} {key}", one)
+
+
+def _has_parts(value: Any) -> bool:
+    """Whether a value holds nothing but others that hold some."""
+    return isinstance(value, dict) and bool(value) and all(isinstance(one, dict) for one in value.values())
+
+
 def _began(stamp_s: float) -> str:
     """Return a date, or seconds where the stamps are of a clock that knows none, such as a sensor's own."""
     if stamp_s < _DATED_S:
@@ -123,13 +144,15 @@ def _began(stamp_s: float) -> str:
 
 
 def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, dict):
         return ", ".join(
-            f"{key}=({_text(one)})" if isinstance(one, dict | list) else f"{key}={_text(one)}"
+            f"{key}=({_text(one)})" if one and isinstance(one, dict | list) else f"{key}={_text(one)}"
             for key, one in value.items()
         )
     if isinstance(value, list):
-        return ", ".join(map(_text, value))
+        return ", ".join(map(_text, value)) or "none"
     return str(value)

@@ -133,6 +133,26 @@ def test_people_read_rounded_numbers_of_a_session_and_machines_exact_ones(tmp_pa
     assert "resolution_m=0.05, origin_m=(-19.7, 2), key_scans=4" in capsys.readouterr().out
 
 
+def test_the_results_of_a_live_run_fit_a_page(tmp_path, capsys):
+    run = {
+        "processes": {"hub": {"state": "ended", "restarts": 0}, "laser": {"state": "ended", "reasons": []}},
+        "latency": {"unit": "ms", "late": 3, "hops": {"scan": {"p50": 1.5}, "map": {"p50": 2.5}}},
+        "events": ["1 hub: starts", "2 hub: ended"],
+        "finished": True,
+    }
+    (tmp_path / "run.json").write_text(json.dumps(run))
+    assert main(["info", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.splitlines()[2:-1] == [
+        "processes hub        state=ended, restarts=0",
+        "processes laser      state=ended, reasons=none",
+        "latency              unit=ms, late=3",
+        "latency hops scan    p50=1.5",
+        "latency hops map     p50=2.5",
+        "events               2, in run.json and in the logs",
+        "finished             yes",
+    ]
+
+
 def test_a_results_folder_tells_what_made_it(tmp_path, capsys):
     (tmp_path / "run.json").write_text('{"seed": 3}')
     (tmp_path / "metrics.json").write_text('{"scans": 9}')
