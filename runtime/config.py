@@ -4,7 +4,6 @@ Every error is a `ConfigError` that names place, rule and value; an unknown key 
 """
 
 import dataclasses
-import difflib
 import enum
 import math
 import textwrap
@@ -17,6 +16,7 @@ from typing import Any, Literal, TypeVar, Union
 import yaml
 
 from runtime.errors import ConfigError
+from runtime.guess import meant
 
 T = TypeVar("T")
 
@@ -34,9 +34,7 @@ def refuse_unknown(
     """
     for key in keys:
         if key not in known:
-            near = difflib.get_close_matches(str(key), known, n=1)
-            known_text = ", ".join(sorted(known)) or "none"
-            hint = f"; did you mean {near[0]!r}?" if near else f"; known: {known_text}"
+            hint = meant(key, known) or f"; known: {', '.join(sorted(known)) or 'none'}"
             place = f"{where}.{key}" if what == "key" else f"{where} {key}"
             raise ConfigError(f"{place}: unknown {what}{hint}")
 
@@ -88,6 +86,8 @@ def _value(hint: Any, value: Any, where: str) -> Any:
             raise ConfigError(f"{where} = {value!r}, must be one of {', '.join(m.name for m in hint)}")
         return named[str(value)]
     if hint is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        if math.isnan(value):
+            raise ConfigError(f"{where} = {value!r}, must be a number")
         return float(value)
     if hint is Path and isinstance(value, str):
         return Path(value)
@@ -124,8 +124,10 @@ def load_yaml(path: Path) -> Any:
     """Read a YAML file; raises ConfigError with the line where it is broken."""
     try:
         text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not text: byte 0x{error.object[error.start]:02x} found") from error
     return parse_yaml(text, str(path))
 
 

@@ -6,6 +6,7 @@ Every error is a `ConfigError` that names place, rule and value.
 
 import graphlib
 import importlib
+import os
 import pkgutil
 import re
 from collections.abc import Collection, Mapping
@@ -232,13 +233,24 @@ def _placed(value: Any, run_dir: Path) -> Any:
     return [_placed(item, run_dir) for item in value] if isinstance(value, list) else value
 
 
+def has_screen() -> bool:
+    """Whether a window can be opened here."""
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def check_robot(name: str, option: str) -> None:
+    """Refuse what a graph would refuse as the name of its robot; raises ConfigError."""
+    if not _NAME.match(name):
+        raise ConfigError(f"{option} = {name!r}, must be lower-case letters, digits and underscores")
+
+
 def main(argv: list[str] | None = None) -> int:
     """Check a graph in full and print it resolved, as JSON: `python -m runtime.graph FILE [--headless]`."""
     import argparse
     import json
     import sys
 
-    parser = argparse.ArgumentParser(prog="runtime.graph", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="runtime.graph", description=main.__doc__, allow_abbrev=False)
     parser.add_argument("file", type=Path)
     parser.add_argument("--headless", action="store_true", help="leave out what needs a screen")
     parser.add_argument("--elsewhere", nargs="*", default=[], help="processes that run on other machines")

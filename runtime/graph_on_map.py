@@ -16,15 +16,13 @@ def on_map(file: Path, session: Path, extend: bool, folder: Path) -> Path:
 
     Args:
         file: A graph.
-        session: Session file, or a results folder that holds one.
+        session: Session file, or a results folder that holds one, checked.
         extend: Whether the drive is mapped onto the saved map; else that stays as it is.
         folder: Takes a file of the same name.
 
     Raises:
-        ConfigError: There is no such session, or no mapper in the graph.
+        ConfigError: There is no mapper in the graph.
     """
-    if not (session.is_file() or (session / "session.mcap").is_file()):
-        raise ConfigError(f"--on {session}: must be a session.mcap, or a results folder that holds one")
     mappers = [name for name, node in graphs.load(file).nodes.items() if node.module == MAPPER]
     if not mappers:
         raise ConfigError(f"--on {session}: {file.name} has no mapper")

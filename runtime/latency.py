@@ -114,8 +114,9 @@ HOPS = {
     "map": "odom published to pose published",
     "whole": "first ray to pose published",
     "grid": "last scan in it to map published",
-    SCREEN: "first ray to picture drawn, in the viewer's process",
+    SCREEN: "first ray to picture drawn: in the viewer's process",
 }
+"""From where to where each hop is, and behind a colon what is in it."""
 
 
 @dataclass(slots=True)

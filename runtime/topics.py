@@ -7,6 +7,7 @@ import enum
 from dataclasses import dataclass
 
 from runtime.errors import ConfigError
+from runtime.guess import meant
 
 NEWEST = 1
 """A subscription that works on the present: what was not taken in time is overwritten, and counted."""
@@ -95,9 +96,10 @@ def topic(name: str) -> Topic:
     """Look a topic up.
 
     Raises:
-        ConfigError: There is no such topic; the text lists those there are.
+        ConfigError: There is no such topic; the text guesses which was meant, or lists those there are.
     """
     try:
         return TOPICS[name]
     except KeyError:
-        raise ConfigError(f"topic {name!r}: unknown; known: {', '.join(TOPICS)}") from None
+        hint = meant(name, TOPICS) or f"; known: {', '.join(TOPICS)}"
+        raise ConfigError(f"topic {name!r}: unknown{hint}") from None

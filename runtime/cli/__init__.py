@@ -5,7 +5,6 @@ what is heavy is imported inside `run`. Expected errors become one line and an e
 traceback.
 """
 
-import argparse
 import ast
 import importlib.util
 import os
@@ -13,6 +12,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module, metadata
 
+from runtime.cli.parsing import Parser
 from runtime.errors import exit_code_of
 
 VERBS = (
@@ -42,12 +42,14 @@ EXIT_CODES = (
     "5 position lost, 130 after Ctrl-C with everything saved"
 )
 
+WRONG_PATHS = (FileNotFoundError, IsADirectoryError, NotADirectoryError, PermissionError)
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; return its exit code."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     asked = next((word for word in arguments if not word.startswith("-")), None)
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="hallway", description="Maps from one laser range finder and nothing else.", epilog=EXIT_CODES
     )
     parser.add_argument("--version", action="version", version=f"hallway {_version()}")
@@ -64,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args, unknown = parser.parse_known_args(arguments)
     if unknown:
         # Said by the verb's own parser, under the line that shows what the verb takes.
-        verbs.choices[args.verb].error(f"unrecognized arguments: {' '.join(unknown)}")
+        verbs.choices[args.verb].refuse(unknown)
     try:
         return int(import_module(f"runtime.cli.{args.verb}").run(args))
     except KeyboardInterrupt:
@@ -75,7 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
     except Exception as error:
         code = exit_code_of(error)
-        if code is None and isinstance(error, FileNotFoundError | IsADirectoryError | NotADirectoryError):
+        if code is None and isinstance(error, WRONG_PATHS):
             code = 2
         elif code is None and isinstance(error, OSError):
             code = 1

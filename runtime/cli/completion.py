@@ -49,12 +49,13 @@ def verbs() -> list[Verb]:
     import importlib
 
     from runtime import cli
+    from runtime.cli.parsing import Parser
 
     found = []
     for name in cli.VERBS:
         if (text := cli.help_of(name)) is None:
             continue
-        parser = argparse.ArgumentParser(prog=name)
+        parser = Parser(prog=name)
         importlib.import_module(f"runtime.cli.{name}").add_arguments(parser)
         found.append(Verb(name, text, tuple(dict.fromkeys(_words(parser)))))
     return found

@@ -1,13 +1,13 @@
 """Turn a laser log, recording or trajectory into another format, or a cut recording into a whole one."""
 
 import argparse
-import json
 import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.for_machines import print_json
 from runtime.errors import ConfigError, DataLostError
 
 if TYPE_CHECKING:
@@ -36,6 +36,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Convert; 0 when done, 4 when the source itself had holes. What the target cannot hold is told."""
+    from runtime.reports.results import check_writable
+
     source, target = args.source, args.target
     kind = KINDS.get(target.suffix) if target.suffix else "ros2"
     if kind is None:
@@ -44,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{target}: exists already; choose another name")
     if not target.parent.is_dir():
         raise ConfigError(f"{target}: its folder {target.parent} does not exist")
+    check_writable(target)
     if not source.exists():
         raise FileNotFoundError(2, "No such file or directory", str(source))
     unfinished = target.with_name(f".{target.name}.partial")
@@ -58,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         shutil.rmtree(unfinished, ignore_errors=True)
     report = {"source": str(source), "target": str(target), "kind": kind, **report}
     if args.json:
-        print(json.dumps(report))
+        print_json(report)
     else:
         print(f"{target}: {report['messages']} {report['what']}")
         for one in report["not_held"]:
@@ -69,11 +72,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _convert(source: Path, partial: Path, kind: str, topic: str | None) -> dict[str, Any]:
+    from runtime.formats.mcap_log import is_mcap
+
     if _is_trajectory(source):
         return _from_trajectory(source, partial, kind)
     if kind == "tum":
         return _to_trajectory(source, partial, topic)
-    if _is_recording(source) and topic is None and kind in ("mcap", "ros1", "ros2"):
+    if is_mcap(source) and topic is None and kind in ("mcap", "ros1", "ros2"):
         return _from_recording(source, partial, kind)
     from runtime.formats.logs import open_log
 
@@ -120,10 +125,11 @@ def _from_trajectory(source: Path, partial: Path, kind: str) -> dict[str, Any]:
 
 
 def _to_trajectory(source: Path, partial: Path, topic: str | None) -> dict[str, Any]:
+    from runtime.formats.mcap_log import is_mcap
     from runtime.formats.poses import read_poses
     from runtime.formats.tum import write_tum
 
-    if not _is_recording(source):
+    if not is_mcap(source):
         raise ConfigError(f"{source}: holds no poses of ours; a trajectory comes from an MCAP recording")
     trajectory = read_poses(source, topic)
     write_tum(partial, trajectory.stamps_ns, trajectory.poses)
@@ -171,15 +177,6 @@ _LOG_WRITERS: dict[str, Callable[[Path, "LaserLog"], list[str]]] = {
     "ros1": _write_ros1,
     "ros2": _write_ros2,
 }
-
-
-def _is_recording(source: Path) -> bool:
-    from runtime.formats.mcap_log import MAGIC
-
-    if source.is_dir():
-        return False
-    with source.open("rb") as file:
-        return file.read(len(MAGIC)) == MAGIC
 
 
 def _is_trajectory(source: Path) -> bool:

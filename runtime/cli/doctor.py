@@ -4,11 +4,13 @@ Each line says what was looked at, what was found, what is needed, and what to d
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from runtime.cli.for_machines import print_json
+from runtime.cli.parsing import number, whole_number
 
 if TYPE_CHECKING:
     from runtime.cli.checkup.finding import Finding
@@ -19,8 +21,10 @@ _MARKS = {"ok": "ok  ", "warn": "warn", "fail": "FAIL", "missing": "FAIL"}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
     parser.add_argument("--port", default="auto", help="of the laser (default: the first URG on USB)")
-    parser.add_argument("--baud", type=int, default=0, help="rate on RS-232 (default: USB)")
-    parser.add_argument("--seconds", type=float, default=5.0, metavar="S", help="watch the laser (default 5)")
+    parser.add_argument("--baud", type=whole_number(0), default=0, help="rate on RS-232 (default: USB)")
+    parser.add_argument(
+        "--seconds", type=number(least=0.0), default=5.0, metavar="S", help="watch the laser (default 5)"
+    )
     parser.add_argument("--robot", default="robot", metavar="NAME", help="look at this one if it runs")
     parser.add_argument("--json", action="store_true", help="machine-readable, one object")
     parser.add_argument("--udev", action="store_true", help="print the udev rule of the laser, and end")
@@ -41,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
             _print(finding)
     code = exit_code(findings)
     if args.json:
-        print(json.dumps({"works": code == 0, "findings": [finding.as_dict() for finding in findings]}))
+        print_json({"works": code == 0, "findings": [finding.as_dict() for finding in findings]})
     else:
         print({0: "it would work", 3: "there is no laser"}.get(code, "it would not work"))
     return code

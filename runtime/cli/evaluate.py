@@ -1,11 +1,13 @@
 """Compare a trajectory with ground truth: relations of Kümmerle et al., or a reference trajectory."""
 
 import argparse
-import json
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.for_machines import print_json
+from runtime.cli.parsing import number
 from runtime.errors import ConfigError, DataLostError
 
 if TYPE_CHECKING:
@@ -21,9 +23,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("trajectory", type=Path, help="TUM file, or a results folder")
     truth = parser.add_mutually_exclusive_group(required=True)
     truth.add_argument("--relations", type=Path, metavar="F", help="relative poses between raw stamps")
-    truth.add_argument("--reference", type=Path, metavar="F", help="true trajectory as TUM: ATE and RPE")
+    truth.add_argument(
+        "--reference", type=Path, metavar="F", help="true trajectory, TUM file or results folder: ATE and RPE"
+    )
     parser.add_argument(
-        "--laser-in-base", type=float, nargs=3, metavar=("X", "Y", "YAW"),
+        "--laser-in-base", type=number(), nargs=3, metavar=("X", "Y", "YAW"),
         help="mounting (m, m, rad): the trajectory is the laser's, the truth the base's",
     )  # fmt: skip
     parser.add_argument(
@@ -44,20 +48,23 @@ def run(args: argparse.Namespace) -> int:
     from processing.se2 import compose, invert
     from runtime.formats.tum import Trajectory, read_tum
 
-    if not args.stretch > 0:
-        raise ConfigError(f"--stretch = {args.stretch}, must be positive")
+    if not 0 < args.stretch < math.inf:
+        raise ConfigError(f"--stretch = {args.stretch}, must be positive and finite")
     if not args.max_difference >= 0:
         raise ConfigError(f"--max-difference = {args.max_difference}, must be at least 0")
-    folder = args.trajectory.is_dir()
-    trajectory = read_tum(args.trajectory / "trajectory.tum" if folder else args.trajectory)
+    trajectory = read_tum(_tum_file(args.trajectory))
     if args.laser_in_base:
         mounted = compose(trajectory.poses, invert(np.array(args.laser_in_base)))
         trajectory = Trajectory(trajectory.stamps_ns, mounted)
     report = _relations(args, trajectory) if args.relations else _reference(args, trajectory)
     if args.json:
-        print(json.dumps(report))
+        print_json(report)
     else:
         _print_table(report)
+    if "ate" in report and "rpe" not in report:
+        print(
+            f"hallway evaluate: no RPE: the way is shorter than --stretch {args.stretch:g} m", file=sys.stderr
+        )
     if report["compared"] < report["truths"]:
         missing = report["truths"] - report["compared"]
         print(
@@ -67,6 +74,11 @@ def run(args: argparse.Namespace) -> int:
         )
         return int(DataLostError.exit_code)
     return 0
+
+
+def _tum_file(path: Path) -> Path:
+    """Return the trajectory that a person means: the file, or the one in a results folder."""
+    return path / "trajectory.tum" if path.is_dir() else path
 
 
 def _relations(args: argparse.Namespace, trajectory: "Trajectory") -> dict[str, Any]:
@@ -90,7 +102,7 @@ def _reference(args: argparse.Namespace, trajectory: "Trajectory") -> dict[str, 
     from processing.evaluation import absolute_errors, nearest_stamps, relative_errors
     from runtime.formats.tum import read_tum
 
-    reference = read_tum(args.reference)
+    reference = read_tum(_tum_file(args.reference))
     tolerance_ns = round(args.max_difference * 1e9)
     index = nearest_stamps(trajectory.stamps_ns, reference.stamps_ns, tolerance_ns)
     found = index >= 0

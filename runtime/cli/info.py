@@ -2,12 +2,16 @@
 
 import argparse
 import json
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from runtime.cli.for_machines import print_json
 from runtime.errors import DataLostError
 
+_DATED_S = 631_152_000.0
+"""1990: no log is older, and no sensor was on for twenty years."""
 PAINTS = {"erased": 1, "wall": 2, "keep_out": 3}
 
 
@@ -20,31 +24,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print what is there; 0 when it is whole, 4 when something is missing."""
+    from runtime.formats.mcap_log import is_mcap
     from runtime.reports.results import RUN_FILE
 
     path: Path = args.file
     if path.is_dir() and (path / RUN_FILE).is_file():
         report = _results(path)
-    elif _is_recording(path):
+    elif is_mcap(path):
         from runtime.recordings.info import describe
 
         report = _with_session(describe(path), path)
     else:
         report = _log(path, args.topic)
     if args.json:
-        print(json.dumps(report))
+        print_json(report)
     else:
         _print(report)
     return int(DataLostError.exit_code) if report.get("missing") else 0
-
-
-def _is_recording(path: Path) -> bool:
-    from runtime.formats.mcap_log import MAGIC
-
-    if path.is_dir():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(MAGIC)) == MAGIC
 
 
 def _with_session(report: dict[str, Any], path: Path) -> dict[str, Any]:
@@ -62,7 +58,12 @@ def _with_session(report: dict[str, Any], path: Path) -> dict[str, Any]:
         report["missing"].append(str(error))
         return report | {"kind": "session", "session": record}
     painted = {name: int((parts.layer["paints"] == number).sum()) for name, number in PAINTS.items()}
-    held = {"key_scans": len(parts.posterior["keys"]), "painted_cells": painted}
+    held = {
+        "resolution_m": parts.resolution_m,
+        "origin_m": list(parts.origin_m),
+        "key_scans": len(parts.posterior["keys"]),
+        "painted_cells": painted,
+    }
     return report | {"kind": "session", "session": record | held}
 
 
@@ -102,8 +103,11 @@ def _print(report: dict[str, Any]) -> None:
         if key in ("topics", "missing", "notices", "gaps", "outages") or value is None:
             continue
         if key == "began_s":
-            key, value = "began", f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S} UTC"
-        print(f"{key:<20} {_text(value)}")
+            key, value = "began", _began(value)
+        if key == "events":
+            value = f"{len(value)}, in run.json and in the logs"
+        for name, part in _parts(key, value):
+            print(f"{name:<20} {_text(part)}")
     if topics:
         print(f"{'topic':<28}{'messages':>9}{'Hz':>8}{'missing':>9}  type")
         for name, row in topics.items():
@@ -115,14 +119,40 @@ def _print(report: dict[str, Any]) -> None:
             print(f"{key.rstrip('s'):<20} {one}")
 
 
+def _parts(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield what stands on a line of its own: each of what has parts itself, and all the rest together."""
+    wholes = {key: one for key, one in value.items() if _has_parts(one)} if isinstance(value, dict) else {}
+    if _has_parts(value):
+        wholes = value
+    rest = {key: one for key, one in value.items() if key not in wholes} if wholes else value
+    if rest or not wholes:
+        yield name, rest
+    for key, one in wholes.items():
+        yield from _parts(f"{name} {key}", one)
+
+
+def _has_parts(value: Any) -> bool:
+    """Whether a value holds nothing but others that hold some."""
+    return isinstance(value, dict) and bool(value) and all(isinstance(one, dict) for one in value.values())
+
+
+def _began(stamp_s: float) -> str:
+    """Return a date, or seconds where the stamps are of a clock that knows none, such as a sensor's own."""
+    if stamp_s < _DATED_S:
+        return f"at {stamp_s:.3f} s of a clock that knows no date"
+    return f"{datetime.fromtimestamp(stamp_s, UTC):%Y-%m-%d %H:%M:%S} UTC"
+
+
 def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, dict):
         return ", ".join(
-            f"{key}=({_text(one)})" if isinstance(one, dict) else f"{key}={_text(one)}"
+            f"{key}=({_text(one)})" if one and isinstance(one, dict | list) else f"{key}={_text(one)}"
             for key, one in value.items()
         )
     if isinstance(value, list):
-        return ", ".join(map(_text, value))
+        return ", ".join(map(_text, value)) or "none"
     return str(value)

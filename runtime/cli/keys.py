@@ -4,6 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
+from runtime.cli.parsing import read_address
 from runtime.cli.which_robot import add_robot
 
 
@@ -19,7 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     invite.add_argument(
         "--role", choices=("viewer", "operator", "machine"), default="viewer", help="default viewer"
     )
-    invite.add_argument("--address", metavar="HOST[:PORT]", help="of the robot (default its first address)")
+    invite.add_argument(
+        "--address", type=read_address, metavar="HOST[:PORT]", help="of the robot (default its first address)"
+    )
     invite.add_argument("--out", type=Path, metavar="FILE", help="default GUEST.invitation")
     revoke = actions.add_parser("revoke", help="on the robot: strike a guest off the list")
     revoke.add_argument("guest")
@@ -38,7 +41,10 @@ def run(args: argparse.Namespace) -> int:
     """Do what was asked; 2 where it cannot be."""
     from runtime.access import gate, keys
     from runtime.errors import ConfigError
+    from runtime.graph import check_robot
+    from runtime.reports.results import check_writable
 
+    check_robot(args.robot, "--robot")
     if args.action == "make":
         made = keys.make(args.robot, args.host)
         print(f"{made.folder}: keys of robot {args.robot!r}; next: hallway keys invite GUEST")
@@ -51,6 +57,8 @@ def run(args: argparse.Namespace) -> int:
         out = args.out or Path(f"{args.guest}.invitation")
         if out.exists():
             raise ConfigError(f"{out}: exists already")
+        check_writable(out)  # before anybody is on the list
+        out.parent.mkdir(parents=True, exist_ok=True)
         invitation = keys.invite(args.robot, args.guest, args.role, address)
         keys.write_private(out, invitation.to_bytes())
         print(f"{out}: lets {args.guest} in as {args.role}, at {invitation.address}; it is secret")

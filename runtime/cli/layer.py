@@ -1,7 +1,6 @@
 """Paint on a saved map: erase, draw walls, keep robots out; the session keeps it as a layer."""
 
 import argparse
-import json
 import os
 import shutil
 import sys
@@ -9,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from runtime.cli.for_machines import print_json
 from runtime.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
     write(folder, saved, layer)
     counts = {paint.name.lower(): layer.count(paint) for paint in Paint}
     if args.json:
-        print(json.dumps({"out": str(folder), "cells": counts, "left_alone": left_alone}))
+        print_json({"out": str(folder), "cells": counts, "left_alone": left_alone})
         return 0
     told = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items())
     also = ", keepout.pgm + keepout.yaml" if (folder / "keepout.yaml").is_file() else ""
@@ -84,31 +84,18 @@ def check_results(folder: Path, given: bool) -> None:
 def write(folder: Path, saved: "Saved", layer: "Layer") -> None:
     """Write a session with its map products under a layer, all at once; other results there are kept."""
     from processing.dpslam.redrawing import rebuild
-    from runtime.formats.map_server import write_keep_out, write_map
     from runtime.formats.session import FILE, SessionWriter
     from runtime.nodes.saved import grid_map, picture_of
-    from runtime.reports.picture import png, render
-    from runtime.reports.results import RUN_FILE, new_folder, to_json
+    from runtime.reports.results import RUN_FILE, new_folder, to_json, write_products
 
     past, session = saved.past, saved.session
     seen = rebuild(past, saved.config.slam.mapping, session.seed).occupancy()
     grid = layer.over(seen, past.map_t_laser)
     keep_out = layer.keep_out(grid, past.map_t_laser)
     with new_folder(folder) as fresh:
-        write_map(fresh, grid_map(grid))
-        if keep_out.any():
-            write_keep_out(fresh, keep_out, grid_map(grid))
-        way = past.map_t_laser[:, :2]
         drives = f"{session.drives} drives" if session.drives > 1 else "one drive"
-        picture = render(
-            grid.probability,
-            grid.resolution_m,
-            grid.origin_m,
-            way,
-            keep_out=keep_out,
-            caption=f"{drives}, with what was painted",
-        )
-        (fresh / "map.png").write_bytes(png(picture))
+        caption = f"{drives}, with what was painted"
+        write_products(fresh, grid_map(grid), past.map_t_laser[:, :2], keep_out, caption)
         writer = SessionWriter(fresh / FILE, session.head)
         writer.copy(session.path)
         writer.finish(

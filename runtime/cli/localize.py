@@ -1,12 +1,13 @@
 """Follow the laser of a log on a saved map, from an unknown start; the map stays as it is."""
 
 import argparse
-import json
 import sys
 from pathlib import Path
 
-from runtime.cli.map import check_scanner, check_seed, feed, stop_on_signal
+from runtime.cli.for_machines import print_json
+from runtime.cli.map import check_scanner, check_seed, feed
 from runtime.cli.progress import Progress
+from runtime.cli.stopping import asked_to_stop, insisting
 from runtime.cli.whereabouts import Whereabouts
 from runtime.errors import DataLostError, PositionLostError
 
@@ -25,26 +26,30 @@ def run(args: argparse.Namespace) -> int:
     """Write the trajectory: 0 done, 4 scans missing, 5 not found or lost at the end, 130 after Ctrl-C."""
     from runtime.cli.compiling import compile_here
     from runtime.cli.gaps import print_gaps
-    from runtime.config import plain
     from runtime.formats.logs import open_log
-    from runtime.reports.results import check_free, save
+    from runtime.formats.session import check_session
+    from runtime.reports.results import check_free, default_folder, save
 
     check_seed(args.seed)
     log = open_log(args.log, args.topic)
+    check_session(args.session)
+    out = args.out or default_folder(args.log).with_name(f"{default_folder(args.log).name}-on-map")
+    check_free(out)
     compile_here("localize")
     from runtime.nodes import saved as sessions
-    from runtime.nodes.offline import OfflineRun, default_folder
+    from runtime.nodes.offline import OfflineRun
 
     saved = sessions.load(args.session)
     check_scanner(log, saved)
-    out = args.out or default_folder(args.log).with_name(f"{default_folder(args.log).name}-on-map")
-    check_free(out)
     for notice in log.notices + log.losses:
         print(f"hallway localize: {notice}", file=sys.stderr)
     offline = OfflineRun(
         saved.config, saved.session.seed if args.seed is None else args.seed, saved, fixed=True
     )
-    with stop_on_signal() as stopping, Progress(len(log), log.geometry.period_s, args.json) as progress:
+    with (
+        asked_to_stop(insisting(2)) as stopping,
+        Progress(len(log), log.geometry.period_s, args.json) as progress,
+    ):
         where = Whereabouts(progress.say, log.geometry.period_s)
         feed(offline, log, progress, stopping, where)
     report = {"session": str(saved.session.path), "scans": progress.done, **where.report()}
@@ -54,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
         save(out, offline.result(log, {"interrupted": True} if interrupted else None))
         report["out"] = str(out)
     if args.json:
-        print(json.dumps(plain(report)))
+        print_json(report)
     elif offline.found:
         print_gaps("not in the recording", log.gaps)
         print(f"{progress.done} scans; {out}/: trajectory.tum on the saved map, map.png with the way")

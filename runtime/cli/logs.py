@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from runtime.cli.parsing import whole_number
 from runtime.cli.which_robot import add_robot
 
 
@@ -16,7 +17,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--results", type=Path, metavar="DIR", help="of a finished run, such as results/latest"
     )
     parser.add_argument("-f", "--follow", action="store_true", help="go on until Ctrl-C")
-    parser.add_argument("-n", "--lines", type=int, default=20, help="of each process (default 20; 0: all)")
+    parser.add_argument(
+        "-n", "--lines", type=whole_number(0), default=20, help="of each process (default 20; 0: all)"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,17 +1,14 @@
 """Make a map from a laser log, offline, from every scan."""
 
 import argparse
-import json
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.for_machines import print_json
 from runtime.cli.patience import told
 from runtime.cli.progress import Progress
+from runtime.cli.stopping import asked_to_stop, insisting
 from runtime.cli.whereabouts import Whereabouts
 from runtime.errors import ConfigError, DataLostError, PositionLostError
 
@@ -49,14 +46,22 @@ def run(args: argparse.Namespace) -> int:
     Also 5 where the drive was not found on the saved map; the results are then a map of its own.
     """
     from runtime.cli.compiling import compile_here
+    from runtime.config import load_yaml
     from runtime.formats.logs import open_log
-    from runtime.reports.results import check_free
+    from runtime.formats.session import check_session
+    from runtime.reports.results import check_free, default_folder
 
     check_seed(args.seed)
     log = open_log(args.log, args.topic)
+    out = args.out or default_folder(args.log)
+    check_free(out)
+    if args.onto is not None:
+        check_session(args.onto)
+    if args.config is not None:
+        load_yaml(args.config)
     compile_here("map")
     from runtime.nodes import saved as sessions
-    from runtime.nodes.offline import OfflineRun, default_folder
+    from runtime.nodes.offline import OfflineRun
 
     onto = sessions.load(args.onto) if args.onto else None
     if onto is not None:
@@ -64,12 +69,10 @@ def run(args: argparse.Namespace) -> int:
     recorded = log.run_seed or 0 if onto is None else onto.session.seed
     seed = recorded if args.seed is None else args.seed
     config = _config(args.config, log, onto)
-    out = args.out or default_folder(args.log)
-    check_free(out)
     for notice in log.notices + log.losses:
         print(f"hallway map: {notice}", file=sys.stderr)
     offline = OfflineRun(config, seed, onto)
-    with stop_on_signal() as stopping:
+    with asked_to_stop(insisting(2)) as stopping:
         with Progress(len(log), log.geometry.period_s, args.json) as progress:
             where = Whereabouts(progress.say, log.geometry.period_s) if onto else None
             feed(offline, log, progress, stopping, where)
@@ -123,7 +126,7 @@ def feed(
     offline: "OfflineRun",
     log: "LaserLog",
     progress: Progress,
-    stopping: list[bool],
+    stopping: list[int],
     where: Whereabouts | None = None,
 ) -> None:
     """Take every scan of a log, until asked to stop."""
@@ -152,10 +155,9 @@ def _save(
 
 def _say(report: dict[str, Any], as_json: bool) -> None:
     from runtime.cli.gaps import print_gaps
-    from runtime.config import plain
 
     if as_json:
-        print(json.dumps(plain(report)))
+        print_json(report)
         return
     states = ", ".join(f"{count} {name}" for name, count in report["states"].items())
     print(
@@ -164,21 +166,3 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
     )
     print_gaps("not in the recording", report["gaps"])
     print(f"{report['out']}/: map.png, report.html, map.pgm + map.yaml, trajectory.tum, session.mcap")
-
-
-@contextmanager
-def stop_on_signal() -> Iterator[list[bool]]:
-    """Turn the first Ctrl-C into a wish to stop after the present scan; the second one ends at once."""
-    stopping: list[bool] = []
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        if stopping:
-            raise KeyboardInterrupt
-        stopping.append(True)
-
-    before = {number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stopping
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -1,14 +1,14 @@
 """Make our counterpart of the paper's figures and tables from simulated buildings and from logs."""
 
 import argparse
-import json
 import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from runtime.errors import ConfigError
+from runtime.cli.for_machines import print_json
+from runtime.errors import ConfigError, DataLostError
 
 if TYPE_CHECKING:
     from runtime.cli.study.work import Numbers
@@ -33,21 +33,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write figures, `index.html`, `tables.md` and `numbers.json`; the cores share the buildings out."""
+    """Write figures, `index.html`, `tables.md` and `numbers.json`; 4 where a log had lost something.
+
+    The cores share the drives out.
+    """
     from runtime.cli.compiling import compile_here
+    from runtime.cli.map import check_seed
+    from runtime.formats.logs import open_log
+    from runtime.reports.results import check_writable, to_json
 
     if not 20 <= args.scans <= 100_000:
         raise ConfigError(f"--scans = {args.scans}, must be in [20, 100000]")
+    check_seed(args.seed)
+    if args.out.is_file():
+        raise ConfigError(f"{args.out}: is a file, must be a folder or not exist")
+    check_writable(args.out)
+    lost = False
+    for log in map(open_log, args.logs):  # what is wrong with one is said before the work begins
+        lost |= bool(log.losses)
+        for notice in log.notices + log.losses:
+            print(f"hallway paper: {notice}", file=sys.stderr)
     compile_here("paper")
     from runtime.cli.study import document, tables
     from runtime.cli.study.drives import BUILDINGS
     from runtime.config import refuse_unknown
-    from runtime.formats.logs import open_log
 
     names = list(BUILDINGS) if args.buildings is None else args.buildings
     refuse_unknown(names, list(BUILDINGS), "--buildings", what="building")
-    for log in args.logs:
-        open_log(log)  # what is wrong with it is said before the work begins
     args.out.mkdir(parents=True, exist_ok=True)
     found: dict[str, Numbers] = {}
     hurried: dict[str, Numbers] = {}
@@ -64,12 +76,12 @@ def run(args: argparse.Namespace) -> int:
     (args.out / "tables.md").write_text(document.markdown(page), encoding="utf-8")
     (args.out / "index.html").write_text(document.web_page(page), encoding="utf-8")
     report = {"buildings": buildings, "hurried": hurried, "logs": logs}
-    (args.out / "numbers.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    (args.out / "numbers.json").write_text(to_json(report), encoding="utf-8")
     if args.json:
-        print(json.dumps({"out": str(args.out), **report}))
+        print_json({"out": str(args.out), **report})
     else:
         print(f"{document.markdown(told)}\n{args.out}/index.html: this with the figures")
-    return 0
+    return int(DataLostError.exit_code) if lost else 0
 
 
 def _studied(wheres: list[Any], args: argparse.Namespace) -> "Iterator[tuple[str, Numbers, Numbers]]":

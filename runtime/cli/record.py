@@ -1,17 +1,18 @@
 """Record the topics of a running robot to MCAP files, up to the last second whatever happens."""
 
 import argparse
-import json
 import os
-import signal
 import sys
 import time
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
-from runtime.cli.which_robot import add_robot
+from runtime.cli.for_machines import print_json
+from runtime.cli.parsing import number
+from runtime.cli.patience import told
+from runtime.cli.stopping import asked_to_stop
+from runtime.cli.which_robot import DOMAIN, add_robot
 from runtime.errors import ConfigError, DataLostError
 
 KEEP_WAIT_S = 90.0
@@ -21,10 +22,12 @@ KEEP_WAIT_S = 90.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
     add_robot(parser)
-    parser.add_argument("--domain", type=int, metavar="N", help="ROS domain (default the robot's)")
+    parser.add_argument("--domain", type=DOMAIN, metavar="N", help="ROS domain (default the robot's)")
     parser.add_argument("--out", type=Path, metavar="F.mcap", help="default recordings/NAME-TIME.mcap")
     parser.add_argument("--topics", nargs="+", default=[], metavar="T", help="which topics (default all)")
-    parser.add_argument("--duration", type=float, default=0.0, metavar="S", help="end after S seconds")
+    parser.add_argument(
+        "--duration", type=number(least=0.0), default=0.0, metavar="S", help="end after S seconds"
+    )
     parser.add_argument("--split-mb", type=float, default=0.0, metavar="MB", help="new file after so much")
     parser.add_argument("--split-s", type=float, default=0.0, metavar="S", help="new file after so long")
     parser.add_argument(
@@ -80,11 +83,6 @@ def _record(args: argparse.Namespace, config: Any, bus: Any, guest: bool) -> int
         run_dir=rundir.run_dir(args.robot),
     )
     presence = rundir.Presence(args.robot)
-    interrupted: list[int] = []
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        interrupted.append(number)
-        port.stop()
 
     def turn(recording: Any) -> None:
         if presence.gone or recording.stopped:
@@ -94,13 +92,8 @@ def _record(args: argparse.Namespace, config: Any, bus: Any, guest: bool) -> int
             _say(recording, lacks_scans(config, recording))
 
     said = [time.monotonic()]
-    before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        with port:
-            recording = recorder.record(port, config, turn, identity, about)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with asked_to_stop(lambda asked: port.stop()) as interrupted, port:
+        recording = recorder.record(port, config, turn, identity, about)
     where = f"robot {args.robot!r} in ROS domain {identity.domain}"
     return _report(recording, lacks_scans(config, recording), where, args.json) or (130 if interrupted else 0)
 
@@ -110,7 +103,7 @@ def _report(recording: Any, lacking: bool, where: str, as_json: bool) -> int:
     counts = recording.counts
     report = {"files": [str(path) for path in recording.files], "written": counts.written}
     report |= {"lost": counts.total_lost, "stopped": recording.stopped}
-    print(json.dumps(report)) if as_json else _say(recording, lacking)
+    print_json(report) if as_json else _say(recording, lacking)
     if lacking:
         print(f"hallway record: no scan came from {where}; does its laser run?", file=sys.stderr)
     return int(DataLostError.exit_code) if counts.total_lost or recording.stopped else 0
@@ -140,7 +133,7 @@ def _config(args: argparse.Namespace, out: Path) -> Any:
         topics = tuple(name.strip("/") for name in args.topics)
         return Config(file=str(out), topics=topics, duration_s=args.duration, recording=recording)
     except ValueError as error:
-        raise ConfigError(f"hallway record: {error}") from error
+        raise ConfigError(str(error)) from error
 
 
 def _keep(args: argparse.Namespace, folder: Path) -> int:
@@ -158,10 +151,17 @@ def _keep(args: argparse.Namespace, folder: Path) -> int:
         )
     if folder.exists():
         raise ConfigError(f"{folder}: exists already; choose another folder with --out")
-    files = keep_ring(ring.readlink(), folder, within_s=KEEP_WAIT_S)
+    with told(
+        _tell, f"the newest part is still written; it is kept when it is whole, in {KEEP_WAIT_S:g} s at most"
+    ):
+        files = keep_ring(ring.readlink(), folder, within_s=KEEP_WAIT_S)
     report = {"folder": str(folder), "files": [path.name for path in files]}
-    print(json.dumps(report) if args.json else f"{folder}/: {', '.join(report['files']) or 'nothing'}")
+    print_json(report) if args.json else print(f"{folder}/: {', '.join(report['files']) or 'nothing'}")
     return 0 if files else 1
+
+
+def _tell(line: str) -> None:
+    print(f"hallway record: {line}", file=sys.stderr, flush=True)
 
 
 def _keep_there(args: argparse.Namespace) -> int:
@@ -173,7 +173,7 @@ def _keep_there(args: argparse.Namespace) -> int:
     with ZenohBus(gate.visit(args.robot)) as bus:
         folders = ask_to_keep(bus, args.robot)
     report = {"folders_there": folders}
-    print(json.dumps(report) if args.json else f"on the robot: {', '.join(folders) or 'no ring'}")
+    print_json(report) if args.json else print(f"on the robot: {', '.join(folders) or 'no ring'}")
     return 0 if folders else 1
 
 

@@ -1,9 +1,7 @@
 """Play a recording onto the bus, as a robot of its own, at its own pace or another."""
 
 import argparse
-import json
 import os
-import re
 import sys
 import time
 from collections.abc import Iterator
@@ -12,7 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.for_machines import print_json
+from runtime.cli.parsing import number
 from runtime.cli.replay_keys import HELP, Keys
+from runtime.cli.stopping import asked_to_stop
+from runtime.cli.which_robot import DOMAIN
 from runtime.errors import ConfigError, DataLostError
 
 if TYPE_CHECKING:
@@ -21,22 +23,24 @@ if TYPE_CHECKING:
     from runtime.recordings.pace import Control
     from runtime.recordings.replay import Played, Recorded, ReplayConfig
 
-_NAME = re.compile(r"[a-z][a-z0-9_]*\Z")
+SECONDS = number(least=0.0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments; heavy imports wait until `run`."""
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE", help="MCAP recording, or its parts")
     parser.add_argument("--rate", type=float, default=1.0, help="times the speed; 0 as fast as it goes")
-    parser.add_argument("--start", type=float, default=0.0, metavar="S", help="leave out the first S seconds")
-    parser.add_argument("--duration", type=float, default=0.0, metavar="S", help="play S recorded seconds")
+    parser.add_argument(
+        "--start", type=SECONDS, default=0.0, metavar="S", help="leave out the first S seconds"
+    )
+    parser.add_argument("--duration", type=SECONDS, default=0.0, metavar="S", help="play S recorded seconds")
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="T", help="which topics (default all but cmd_vel)"
     )
     parser.add_argument("--as", dest="robot", metavar="NAME", help="name of the robot (default as recorded)")
     parser.add_argument(
-        "--domain", type=int, metavar="N", help="ROS domain (default that of the robot if it runs, else 0)"
+        "--domain", type=DOMAIN, metavar="N", help="ROS domain (default that of the robot if it runs, else 0)"
     )
     parser.add_argument("--wait", action="store_true", help="begin when somebody listens")
     parser.add_argument("--paused", action="store_true", help=f"start paused; keys: {HELP}")
@@ -49,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play; 0 at the end, 130 after Ctrl-C or q, 4 when something was missing from what was played."""
+    from runtime.graph import check_robot
     from runtime.recordings.replay import Recorded, ReplayConfig
 
     try:
@@ -60,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
             topics=tuple(name.strip("/") for name in args.topics),
         )
     except ValueError as error:
-        raise ConfigError(f"hallway replay: {error}") from error
+        raise ConfigError(str(error)) from error
     if args.map:
         from runtime.cli.replay_map import map_live
 
@@ -68,9 +73,10 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None:
         raise ConfigError("--out: only with --map")
     recorded = Recorded(args.files, config)
-    robot = args.robot or recorded.metadata.get("hallway", {}).get("robot", "robot")
-    if not _NAME.match(robot):
-        raise ConfigError(f"--as {robot!r}: must be lower-case letters, digits and underscores")
+    robot = (
+        args.robot if args.robot is not None else recorded.metadata.get("hallway", {}).get("robot", "robot")
+    )
+    check_robot(robot, "--as")
     if not args.json:
         said = ", ".join(recorded.played)
         print(f"{recorded.duration_s:.1f} s of {said} as robot {robot!r}", file=sys.stderr)
@@ -124,7 +130,6 @@ def _stage(robot: str, recorded: "Recorded", domain: int | None) -> Iterator[_St
 def _play(
     stage: _Stage, robot: str, recorded: "Recorded", config: "ReplayConfig", args: argparse.Namespace
 ) -> "Played":
-    import signal
 
     from runtime.messages import Clock, time_of
     from runtime.process.node import BusPort
@@ -155,17 +160,14 @@ def _play(
         if not keys.poll(control, seconds):
             port.stop()
 
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda *_: port.stop()) for number in numbers}
     try:
-        with Keys() as keys, port:
+        with asked_to_stop(lambda asked: port.stop()), Keys() as keys, port:
             port.ready()
             if args.wait:
                 _wait_for_listener(stage, robot, recorded, port)
             return play(recorded, config, control, publish, publish_clock, sleep=sleep)
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        screen.clear()
 
 
 def _wait_for_listener(stage: _Stage, robot: str, recorded: "Recorded", port: Any) -> None:
@@ -186,7 +188,7 @@ def _report(played: "Played", recorded: "Recorded", args: argparse.Namespace) ->
     report: dict[str, Any] = {"sent": played.messages, "worst_late_ms": round(late_ms, 3)}
     report |= {"gaps": recorded.gaps(), "outages": recorded.outages(), "losses": recorded.losses()}
     if args.json:
-        print(json.dumps(report))
+        print_json(report)
     else:
         sent = ", ".join(f"{count} {name}" for name, count in played.messages.items()) or "nothing"
         print(f"sent {sent}; at most {late_ms:.1f} ms late")
@@ -208,6 +210,11 @@ class _Screen:
         self._said_s = 0.0
         if self._terminal and not quiet:
             print(HELP, file=sys.stderr)
+
+    def clear(self) -> None:
+        """Make room for what is said at the end."""
+        if self._terminal and not self._quiet:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
     def show(self, now_ns: int) -> None:
         """Say the recorded time."""

@@ -6,13 +6,14 @@ the stamps of the result against those sent.
 
 import argparse
 import json
-import signal
 import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.for_machines import print_json
+from runtime.cli.stopping import asked_to_stop
 from runtime.errors import ConfigError, DataLostError, HallwayError
 
 if TYPE_CHECKING:
@@ -128,19 +129,13 @@ def _drive(live: "Run") -> bool:
     """Turn until everything has ended; return whether a person ended it."""
     from runtime.supervision.child import State
 
-    asked: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda n, _: asked.append(n)) for number in numbers}
-    try:
+    with asked_to_stop() as asked:
         while not live.supervisor.over:
             live.step()
             player = live.supervisor.children["player"]
             if asked or player.state is State.ENDED or live.supervisor.idle:
                 live.supervisor.stop()
             time.sleep(_TURN_S)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
     return bool(asked)
 
 
@@ -167,7 +162,7 @@ def _report(out: Path, recorded: "Recorded", code: int, as_json: bool) -> int:
         "losses": played["losses"],
     }
     if as_json:
-        print(json.dumps(report))
+        print_json(report)
     else:
         print(f"{out}/: {report['mapped']} of {report['sent']} scans mapped")
         print_gaps("not in the recording", report["gaps"])

@@ -124,7 +124,8 @@ def table(status: Status, elapsed_s: float | None) -> Any:
     rates = "   ".join(f"{name} {rate:.1f}/s" for name, rate in status.rates_hz.items())
     hops = _columns(Table, "last minute", "p50 ms", "p99 ms", "max ms")
     for hop, ms in status.hops_ms.items():
-        hops.add_row(hop, *(f"{ms[name]:.1f}" for name in ("p50", "p99", "max")), quiet(HOPS[hop]))
+        figures = (f"{ms[name]:.1f}" for name in ("p50", "p99", "max"))
+        hops.add_row(hop, *figures, quiet(HOPS[hop].partition(":")[0]))
     processes = _columns(Table, "process", "cpu %", "MB", "queue ms")
     troubles = Text()
     for line in status.processes:

@@ -1,9 +1,10 @@
 """Show how a running robot is: its processes, rates, and latency hop by hop."""
 
 import argparse
-import json
+import sys
 import time
 
+from runtime.cli.for_machines import print_json
 from runtime.cli.which_robot import add_robot
 
 _LISTEN_S = 1.6
@@ -35,7 +36,7 @@ def run(args: argparse.Namespace) -> int:
             time.sleep(_LISTEN_S)
             status = status_of(args.robot, health.vitals(), measured(bus, args.robot, Clock()))
             if args.json:
-                print(json.dumps(status.to_json()))
+                print_json(status.to_json())
             else:
                 _print(status)
                 print(f"clock of the robot minus ours: {status.clock or 'not told'}")
@@ -51,10 +52,10 @@ def run(args: argparse.Namespace) -> int:
                 status = status_of(args.robot, health.vitals(), offset)
                 screen.show(status, time.monotonic() - began)
                 if args.json:
-                    print(json.dumps(status.to_json()), flush=True)
+                    print_json(status.to_json())
                 time.sleep(1.0 if args.json else 0.25)
         screen.check_read()
-        print(f"robot {args.robot!r} has ended")
+        print(f"robot {args.robot!r} has ended", file=sys.stderr)
         return 0
 
 

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         config = teleop.Config(speed_mps=args.speed, turn_rate_radps=args.turn, name=args.name)
     except ValueError as error:
-        raise ConfigError(f"hallway teleop: {error}") from error
+        raise ConfigError(str(error)) from error
     gate.visit(args.robot)  # where there is no such robot, say so before anything else
     desk = _Desk(args, config)
     for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):

@@ -5,6 +5,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.parsing import number, whole_number
 from runtime.cli.which_robot import add_robot
 from runtime.errors import ConfigError
 
@@ -23,8 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         action = actions.add_parser(name, help=text, description=text)
         action.add_argument("topic", help="of the robot, as `scan`, or any other by its whole name")
-        action.add_argument("-n", "--count", type=int, default=0, help="end after so many messages")
-        action.add_argument("--within", type=float, default=0.0, metavar="S", help="end after S seconds")
+        action.add_argument(
+            "-n", "--count", type=whole_number(0), default=0, help="end after so many messages"
+        )
+        action.add_argument(
+            "--within", type=number(least=0.0), default=0.0, metavar="S", help="end after S seconds"
+        )
         if name == "echo":
             action.add_argument("--full", action="store_true", help="arrays in whole, however long")
     add_robot(parser, domain=True, actions=actions.choices.values())

@@ -2,15 +2,17 @@
 
 import argparse
 import json
-import os
 import signal
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
+
+from runtime.cli.for_machines import print_json
+from runtime.cli.parsing import read_address
+from runtime.cli.stopping import asked_to_stop
 
 if TYPE_CHECKING:
     from runtime.graph import Graph
@@ -50,7 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--remote",
         nargs="?",
         const="",
-        metavar="ADDRESS:PORT",
+        type=read_address,
+        metavar="ADDRESS[:PORT]",
         help="let guests with keys in, at this address (default all addresses, port 7448)",
     )
     parser.add_argument(
@@ -70,6 +73,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the graph; 0 when done, 130 after Ctrl-C with everything saved, else why it failed."""
     from runtime import graph as graphs
     from runtime.errors import ConfigError
+    from runtime.formats.session import check_session
     from runtime.graph_on_map import on_map
 
     file = graphs.find(args.graph)
@@ -81,6 +85,7 @@ def run(args: argparse.Namespace) -> int:
         return _runs(args, file)
     if args.service is not None:
         raise ConfigError("--on with --service: give the mapper of a graph the session, and install that")
+    check_session(args.on)
     with tempfile.TemporaryDirectory(prefix="hallway-") as folder:
         return _runs(args, on_map(file, args.on, args.extend, Path(folder)))
 
@@ -116,7 +121,7 @@ def _run(args: argparse.Namespace, file: Path) -> int | None:
         graph = replace(graph, **changes)
     except ValueError as error:
         raise ConfigError(f"--{error}") from error
-    headless = args.headless or not _has_screen()
+    headless = args.headless or not graphs.has_screen()
     if headless:
         graph = graph.without_screen()
     machine = machines.this_machine(graph, args.host)
@@ -124,7 +129,7 @@ def _run(args: argparse.Namespace, file: Path) -> int | None:
         raise ConfigError(f"--remote: guests are let in on the robot's own machine, {machine.robots}")
     remote = ""
     if machine.is_robot and (args.remote is not None or machine.elsewhere):
-        remote = args.remote or f"0.0.0.0:{keys.PORT}"
+        remote = _door(args.remote or "0.0.0.0")
     if args.service is None:  # under sudo the keys would be looked for in another home
         if remote:
             keys.authority(graph.robot)
@@ -169,6 +174,13 @@ def _run(args: argparse.Namespace, file: Path) -> int | None:
     return None if anew else code
 
 
+def _door(address: str) -> str:
+    """Return address and port at which guests are let in."""
+    from runtime.access import keys
+
+    return address if ":" in address else f"{address}:{keys.PORT}"
+
+
 def _install(file: Path, robot: str, args: argparse.Namespace, machine: "Machine") -> int:
     from runtime.supervision import service
 
@@ -185,10 +197,6 @@ def _install(file: Path, robot: str, args: argparse.Namespace, machine: "Machine
     else:
         print(f"{path}: written; now: systemctl daemon-reload && systemctl enable --now {path}")
     return 0
-
-
-def _has_screen() -> bool:
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _check(file: Path, headless: bool, machine: "Machine") -> dict[str, Any]:
@@ -238,16 +246,10 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> list[int]:
     """Turn until everything has ended; return the signals that came."""
     from runtime.process.realtime import notify_init
 
-    asked: list[int] = []
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        asked.append(number)
-
-    before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     running_since: float | None = None
     is_up = ends = False
     notified = told = 0.0
-    try:
+    with asked_to_stop(numbers=(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)) as asked:
         while not live.supervisor.over:
             live.step()
             if len(asked) > 2:  # here, not in the handler: that may come in the middle of looking
@@ -274,9 +276,6 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> list[int]:
                     screen.say(f"  {name}: saves what it has; {max(0.0, left_s):.0f} s more at most")
             screen.show(live.status(), live.elapsed_s)
             time.sleep(_TURN_S)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
     return asked
 
 
@@ -337,9 +336,7 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
     if report["reason"]:
         print(f"hallway up: {report['reason']}", file=sys.stderr)
     if as_json:
-        from runtime.reports.results import to_json
-
-        print(json.dumps(json.loads(to_json(report))))
+        print_json(report)
         return
     latency = report["metrics"].get("latency", {})
     scans, mapped = latency.get("scans", 0), latency.get("mapped", 0)

@@ -9,14 +9,16 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.parsing import read_address
+from runtime.cli.stopping import asked_to_stop, insisting
 from runtime.cli.which_robot import add_robot
 from runtime.errors import ConfigError
 
 if TYPE_CHECKING:
     from runtime.nodes.viewer import Config
+    from runtime.nodes.viewing.recording import Shown
 
 _TURN_S = 0.1
 
@@ -31,7 +33,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_robot(parser, domain=True)
     parser.add_argument(
-        "--connect", metavar="HOST[:PORT]", help="where the paired robot is now, if it has moved"
+        "--connect",
+        type=read_address,
+        metavar="HOST[:PORT]",
+        help="where the paired robot is now, if it has moved",
     )
     parser.add_argument("--web", action="store_true", help="as a page at 127.0.0.1 instead of a window")
     parser.add_argument("--save", type=Path, metavar="F.rrd", help="into a file instead of a window")
@@ -49,11 +54,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Show until the window is closed, the robot ends (0) or Ctrl-C (130)."""
     from runtime.nodes import viewer
+    from runtime.reports.results import check_writable
 
     if args.web and args.save:
         raise ConfigError("--web and --save: choose one")
     if args.save is not None and args.save.exists():
         raise ConfigError(f"--save {args.save}: exists already")
+    if args.save is not None:
+        if args.save.suffix != ".rrd":
+            raise ConfigError(f"--save {args.save}: must end in .rrd, to be opened again")
+        check_writable(args.save)
+        args.save.parent.mkdir(parents=True, exist_ok=True)
     try:
         config = viewer.Config(
             mode="web" if args.web else "save" if args.save else "auto",
@@ -63,8 +74,8 @@ def run(args: argparse.Namespace) -> int:
             memory_mb=args.memory,
         )
     except ValueError as error:
-        raise ConfigError(f"hallway view: {error}") from error
-    with tempfile.TemporaryDirectory(prefix="hallway-view-") as folder, _signals() as asked:
+        raise ConfigError(str(error)) from error
+    with tempfile.TemporaryDirectory(prefix="hallway-view-") as folder, asked_to_stop(insisting(3)) as asked:
         if args.file is None:
             code = _show_robot(args, config, Path(folder), asked)
         elif args.file.suffix == ".rrd":
@@ -142,7 +153,7 @@ def _show_recording(args: argparse.Namespace, config: "Config", folder: Path, as
     from runtime.nodes.viewing.recording import draw, shown
 
     content = shown(args.file)
-    with _target(config, folder, content.name) as (screen, server):
+    with _target(config, folder, content) as (screen, server):
         drawn = draw(content, screen, lambda: bool(asked))
         print(f"{args.file}: {drawn} messages of {content.name!r}", file=sys.stderr)
         if server is None:
@@ -168,19 +179,20 @@ def _show_rrd(file: Path, config: "Config", folder: Path, asked: list[int]) -> i
 
 
 @contextmanager
-def _target(config: "Config", folder: Path, robot: str) -> Iterator[tuple[Any, Any]]:
+def _target(config: "Config", folder: Path, content: "Shown") -> Iterator[tuple[Any, Any]]:
     from runtime.nodes.viewing.screen import Screen
 
+    told = not content.words
     if config.mode == "save":
-        yield Screen(robot, file=Path(config.file)), None
+        yield Screen(content.name, file=Path(config.file), told=told), None
         return
     with _server(config, folder) as server:
-        yield Screen(robot, url=server.url), server
+        yield Screen(content.name, url=server.url, told=told), server
 
 
 @contextmanager
 def _server(config: "Config", folder: Path) -> Iterator[Any]:
-    from runtime.nodes.viewer import has_screen
+    from runtime.graph import has_screen
     from runtime.nodes.viewing.server import ViewerServer
 
     server = ViewerServer(
@@ -208,21 +220,3 @@ def _say(where: str) -> None:
     else:
         verb = "saving to" if where.endswith(".rrd") else "showing in"
         print(f"{verb} {where}; Ctrl-C ends", flush=True)
-
-
-@contextmanager
-def _signals() -> Iterator[list[int]]:
-    """Collect the signals that ask for the end."""
-    asked: list[int] = []
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        if len(asked) > 1:
-            raise KeyboardInterrupt
-        asked.append(number)
-
-    before = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -3,7 +3,11 @@
 import argparse
 from collections.abc import Iterable
 
+from runtime.cli.parsing import whole_number
+
 ROBOT = "robot"
+DOMAIN = whole_number(0, 232)
+"""Reads the number of a ROS domain."""
 
 
 def add_robot(
@@ -25,4 +29,6 @@ def add_robot(
 def _declare(parser: argparse.ArgumentParser, domain: bool, *, robot: str, number: int | str) -> None:
     parser.add_argument("--robot", default=robot, metavar="NAME", help=f"which robot (default {ROBOT})")
     if domain:
-        parser.add_argument("--domain", type=int, default=number, metavar="N", help="ROS domain (default 0)")
+        parser.add_argument(
+            "--domain", type=DOMAIN, default=number, metavar="N", help="ROS domain (default 0)"
+        )

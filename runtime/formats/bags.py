@@ -23,7 +23,7 @@ from runtime.formats.laser_log import (
     robust_period_s,
     stamp_notices,
 )
-from runtime.formats.mcap_log import MAGIC
+from runtime.formats.mcap_log import is_mcap
 from runtime.formats.mcap_scans import LASER_TYPE, McapScans
 
 
@@ -63,7 +63,7 @@ def read_bag(path: Path, topic: str | None = None) -> LaserLog:
     Raises:
         FormatError: Nothing of that name, several lasers and no choice, a damaged bag, a change of geometry.
     """
-    source = McapScans(path) if _is_mcap(path) else _RosBag(path)
+    source = McapScans(path) if is_mcap(path) else _RosBag(path)
     chosen = _choose(path, source.topics(), topic)
     stamps: list[int] = []
     first: Any = None
@@ -187,13 +187,6 @@ class _RosBag:
             yield reader
         finally:
             reader.close()
-
-
-def _is_mcap(path: Path) -> bool:
-    if path.is_dir():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(MAGIC)) == MAGIC
 
 
 def _choose(path: Path, topics: dict[str, str], topic: str | None) -> str:

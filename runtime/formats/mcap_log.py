@@ -38,6 +38,14 @@ LATCHED_QOS = f"""\
 _MAX_RECORD_BYTES = 1 << 30
 
 
+def is_mcap(path: Path) -> bool:
+    """Whether something is a file that begins as MCAP files do; raises OSError if it cannot be read."""
+    if path.is_dir():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
+
+
 @dataclass(frozen=True, slots=True)
 class McapChannel:
     """One publisher of one topic."""
@@ -182,8 +190,9 @@ class McapReader:
 
     def _records(self, state: ReadState, offset: int | None) -> Iterator[Any]:
         with self.path.open("rb") as file:
-            if file.read(len(MAGIC)) != MAGIC:
-                raise FormatError(self.path, "not an MCAP file; `hallway convert` makes one of a log")
+            if (begin := file.read(len(MAGIC))) != MAGIC:
+                foreign = "not an MCAP file; `hallway convert` makes one of a log"
+                raise FormatError(self.path, foreign if begin else "the file is empty")
             if offset is not None:
                 file.seek(offset)
             reader = StreamReader(

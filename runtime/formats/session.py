@@ -20,7 +20,7 @@ from mcap.reader import make_reader
 from numpy.typing import NDArray
 
 from runtime.formats.errors import FormatError
-from runtime.formats.mcap_log import ACTIVE_SUFFIX, MAGIC, McapChannel, McapReader
+from runtime.formats.mcap_log import ACTIVE_SUFFIX, McapChannel, McapReader, is_mcap
 from runtime.formats.mcap_writer import McapWriter
 
 FILE = "session.mcap"
@@ -148,8 +148,21 @@ class SessionWriter:
 
 
 def session_file(path: Path) -> Path:
-    """Return the session that a person means: the file, or the one in a results folder."""
+    """Return the session that a person means: the file, or the one in a results folder.
+
+    Raises:
+        FormatError: A folder without one.
+    """
+    if path.is_dir() and not (path / FILE).is_file():
+        raise FormatError(
+            path, f"a folder without {FILE}, must be a session or a results folder that holds one"
+        )
     return path / FILE if path.is_dir() else path
+
+
+def check_session(path: Path) -> None:
+    """Refuse what `read_session` would not read, before any work; raises as it does."""
+    _end(session_file(path))
 
 
 def read_session(path: Path) -> Session:
@@ -161,11 +174,7 @@ def read_session(path: Path) -> Session:
     """
     path = session_file(path)
     metadata, attachments = _end(path)
-    record, sums = metadata[RECORD], metadata.get(SUMS, {})
-    for name in (CONFIG, TRAJECTORY, PICTURE, LAYER, POSTERIOR):
-        data = attachments.get(name)
-        if data is None or hashlib.sha256(data).hexdigest() != sums.get(name):
-            raise CutSessionError(path, f"{name} is {'missing' if data is None else 'damaged'}{_REMEDY}")
+    record = metadata[RECORD]
     x, y = map(float, record["origin_m"].split())
     return Session(
         path=path,
@@ -196,12 +205,11 @@ _REMEDY = "; the scans that are there can be mapped again: `hallway map` of the 
 
 def _end(path: Path) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
     """Return the metadata and attachments of a whole session."""
+    if not is_mcap(path):
+        raise FormatError(path, "no session: it is no MCAP file; `hallway map` of a log writes one")
+    if not McapReader.is_whole(path):
+        raise CutSessionError(path, f"the file was cut{_REMEDY}")
     with path.open("rb") as file:
-        if file.read(len(MAGIC)) != MAGIC:
-            raise FormatError(path, "no session: it is no MCAP file; `hallway map` of a log writes one")
-        if not McapReader.is_whole(path):
-            raise CutSessionError(path, f"the file was cut{_REMEDY}")
-        file.seek(0)
         try:
             reader = make_reader(file, validate_crcs=True)
             metadata = {one.name: dict(one.metadata) for one in reader.iter_metadata()}
@@ -213,6 +221,11 @@ def _end(path: Path) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
             raise
         except Exception as error:  # damaged bytes raise whatever they provoke
             raise CutSessionError(path, f"the file is damaged ({type(error).__name__}){_REMEDY}") from error
+    sums = metadata.get(SUMS, {})
+    for name in (CONFIG, TRAJECTORY, PICTURE, LAYER, POSTERIOR):
+        data = attachments.get(name)
+        if data is None or hashlib.sha256(data).hexdigest() != sums.get(name):
+            raise CutSessionError(path, f"{name} is {'missing' if data is None else 'damaged'}{_REMEDY}")
     return metadata, attachments
 
 

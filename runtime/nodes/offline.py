@@ -102,16 +102,21 @@ class OfflineRun:
             **self._on_saved(),
             "notices": [notice.replace(str(log.path), log.path.name) for notice in log.notices + log.losses],
         }
-        report = self._diary.tell(
-            log.path.name,
-            occupancy,
-            np.asarray(stamps_ns, dtype=np.int64),
-            trajectory,
-            facts={name: value for name, value in run.items() if name != "notices"},
-            notices=run["notices"],
-            config=to_yaml(self._config),
-            ancestors=ancestors,
-        )
+        metrics = self._metrics(trajectory, grid)
+
+        def report(picture: bytes) -> str:
+            return self._diary.tell(
+                log.path.name,
+                picture,
+                np.asarray(stamps_ns, dtype=np.int64),
+                trajectory,
+                known_m2=metrics["known_m2"],
+                facts={name: value for name, value in run.items() if name != "notices"},
+                notices=run["notices"],
+                config=to_yaml(self._config),
+                ancestors=ancestors,
+            )
+
         every = (all_stamps_ns, every_pose)
         return RunResult(
             session=self._session_writer(log, seen, every, about(run)),
@@ -123,7 +128,7 @@ class OfflineRun:
             odometry=self._of_base(odometry),
             grid=grid,
             path_m=trajectory[:, :2],
-            metrics=self._metrics(trajectory, grid),
+            metrics=metrics,
             run=run | dict(extra or {}),
             caption=f"{log.path.name}, {len(stamps_ns)} scans, laser alone",
         )
@@ -198,9 +203,3 @@ class OfflineRun:
             ]
             metrics["sharpness"] = asdict(sharpness(points_map, map_t_laser[:, :2]))
         return metrics
-
-
-def default_folder(log: Path, results: Path = Path("results")) -> Path:
-    """Return where the results of a log go when nobody says: `results/<name of the log>`."""
-    name = log.name.split(".")[0] or log.name
-    return results / name

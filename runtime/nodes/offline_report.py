@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.occupancy import OccupancyGrid
 from processing.se2 import Pose
 from processing.slam import Step
 from runtime.reports.report import ReportData, page
@@ -40,10 +39,11 @@ class Diary:
     def tell(
         self,
         title: str,
-        grid: OccupancyGrid,
+        picture: bytes,
         stamps_ns: NDArray[np.int64],
         map_t_laser: Pose,
         *,
+        known_m2: float,
         facts: Mapping[str, Any],
         notices: Sequence[str],
         config: str,
@@ -53,9 +53,10 @@ class Diary:
 
         Args:
             title: What was mapped.
-            grid: The map.
+            picture: The map, PNG.
             stamps_ns: (N,) of every step, in order.
             map_t_laser: (N, 3).
+            known_m2: Area that was seen.
             facts: Versions, seed, host, input.
             notices: What the log's reader had to say.
             config: YAML.
@@ -64,9 +65,8 @@ class Diary:
         return page(
             ReportData(
                 title=title,
-                probability=grid.probability,
-                resolution_m=grid.resolution_m,
-                origin_m=grid.origin_m,
+                picture=picture,
+                known_m2=known_m2,
                 stamps_ns=stamps_ns,
                 map_t_laser=map_t_laser,
                 states=self.states,

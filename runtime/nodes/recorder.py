@@ -47,7 +47,7 @@ class Config:
     def __post_init__(self) -> None:
         for name in self.topics:
             topic_named(name)
-        if self.duration_s < 0:
+        if not self.duration_s >= 0:
             raise ValueError(f"duration_s = {self.duration_s}, must be at least 0")
         if self.file and not self.file.endswith(".mcap"):
             raise ValueError(f"file = {self.file!r}, must end with .mcap")

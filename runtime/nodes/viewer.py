@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from runtime.graph import has_screen
 from runtime.latency import SCREEN, Hop
 from runtime.nodes.viewing.painter import Painter
 from runtime.nodes.viewing.scene import SUBSCRIBES, Scene
@@ -92,11 +93,6 @@ def run(port: Port, config: Config, say: Callable[[str], None] | None = None) ->
     finally:
         if server is not None:
             server.close()
-
-
-def has_screen() -> bool:
-    """Whether a window can be opened here."""
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _show(

@@ -31,7 +31,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Whoever is asked to end before it works has nothing to save, and nothing to say: no traceback.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     realtime.follow_parent()
-    parser = argparse.ArgumentParser(prog="runtime.process", description=__doc__)
+    parser = argparse.ArgumentParser(prog="runtime.process", description=__doc__, allow_abbrev=False)
     parser.add_argument("name", help="of the node in the graph")
     parser.add_argument("--graph", type=Path, required=True)
     parser.add_argument("--run-dir", type=Path, required=True, help="of the robot's sockets")

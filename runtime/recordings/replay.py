@@ -4,6 +4,7 @@ The order is that of the file, and so are the bytes and the holes; only the time
 moves a robot is never played unless it is asked for by name.
 """
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -42,7 +43,7 @@ class ReplayConfig:
         if self.rate and not 0.01 <= self.rate <= 100:
             raise ValueError(f"rate = {self.rate}, must be 0 or in [0.01, 100]")
         for name in ("start_s", "duration_s"):
-            if getattr(self, name) < 0:
+            if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)}, must be at least 0")
 
 

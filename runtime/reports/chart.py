@@ -81,16 +81,23 @@ def _drawn(
 def strip(x: NDArray[np.float64], states: ArrayLike, colours: Mapping[str, str]) -> str:
     """Draw which state held when, as a coloured bar."""
     words = np.asarray(states)
-    edges = np.flatnonzero(words[1:] != words[:-1]) + 1
-    begins, ends = np.r_[0, edges], np.r_[edges, len(words) - 1]
     body = []
-    for begin, end in zip(begins, ends, strict=True):
-        at, until = round(_x(x[begin], x)), round(_x(x[end], x))
+    for begin, last in spells(words):
+        # Up to where the next one begins: what lies between two scans belongs to the earlier one.
+        at, until = round(_x(x[begin], x)), round(_x(x[min(last + 1, len(words) - 1)], x))
         colour = colours.get(str(words[begin]), "#888")
         # A single lost scan of a long run must still be seen.
         width = max(until - at, 1)
         body.append(f'<rect x="{at}" y="4" width="{width}" height="16" fill="{colour}"/>')
     return _svg(24, list(dict.fromkeys(body)))  # of many in one place only one is drawn
+
+
+def spells(states: NDArray[np.str_]) -> list[tuple[int, int]]:
+    """Return the first and the last index of each spell of equal states (N,), in order."""
+    if len(states) == 0:
+        return []
+    edges = np.flatnonzero(states[1:] != states[:-1])
+    return list(zip([0, *(edges + 1).tolist()], [*edges.tolist(), len(states) - 1], strict=True))
 
 
 def cloud(poses: NDArray[np.float64], title: str) -> str:

@@ -7,27 +7,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from runtime.formats.map_server import read_map
 from runtime.formats.tum import read_tum
 from runtime.reports.report import ReportData, write_report
-
-REPORT_FILE = "report.html"
+from runtime.reports.results import PICTURE_FILE, REPORT_FILE
 
 
 def report_on(folder: Path, title: str) -> bool:
-    """Write the page into a results folder; False if there is no map and trajectory in it."""
-    if not (folder / "map.yaml").is_file() or not (folder / "trajectory.tum").is_file():
+    """Write the page into a results folder; False if there is no picture of a map and no trajectory in it."""
+    if not (folder / PICTURE_FILE).is_file() or not (folder / "trajectory.tum").is_file():
         return False
-    grid, trajectory = read_map(folder / "map.yaml"), read_tum(folder / "trajectory.tum")
+    trajectory = read_tum(folder / "trajectory.tum")
     metrics, run = _json(folder / "metrics.json"), _json(folder / "run.json")
     metrics.pop("way_m", None)  # in the first line, as the picture shows it
     latency = metrics.pop("latency", {})
     config = folder / "config.yaml"
     data = ReportData(
         title=title,
-        probability=grid.probability,
-        resolution_m=grid.resolution_m,
-        origin_m=grid.origin_m,
+        picture=(folder / PICTURE_FILE).read_bytes(),
         known_m2=metrics.pop("known_m2", None),
         stamps_ns=trajectory.stamps_ns,
         map_t_laser=trajectory.poses,

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.reports import chart
-from runtime.reports.picture import png, render
 from runtime.reports.tables import facts_table, latency_table
 
 STATES = ("TRACKING", "DEGENERATE", "LOST")
@@ -51,12 +50,10 @@ class ReportData:
 
     title: str
     """Name of the log or of the robot."""
-    probability: NDArray[np.float32]
-    """(rows, cols) of the map, as `picture.render` takes it."""
-    resolution_m: float
-    origin_m: tuple[float, float]
+    picture: bytes
+    """The map, PNG, as `map.png` has it."""
     known_m2: float | None = None
-    """Area that was seen, where it was counted; else it is counted in `probability`."""
+    """Area that was seen, where it was counted."""
     stamps_ns: NDArray[np.int64]
     """(N,) in the order of the scans."""
     map_t_laser: NDArray[np.float64]
@@ -138,9 +135,7 @@ def _summary(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
         return "No scan."
     steps = np.diff(run.map_t_laser[:, :2], axis=0)
     way_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
-    known_m2 = run.known_m2
-    if known_m2 is None:
-        known_m2 = float(np.count_nonzero(~np.isnan(run.probability)) * run.resolution_m**2)
+    known = "" if run.known_m2 is None else f", {run.known_m2:.0f} m² mapped"
     words = judged(run)
     shares = [
         f"{100.0 * share:.1f} % {word}"
@@ -148,14 +143,13 @@ def _summary(run: ReportData, elapsed_s: NDArray[np.float64]) -> str:
         if len(words) and (share := np.count_nonzero(words == word) / len(words)) > 0
     ]
     return (
-        f"{len(elapsed_s)} scans in {elapsed_s[-1]:.0f} s, {way_m:.1f} m driven, "
-        f"{known_m2:.0f} m² mapped{'; ' if shares else ''}{', '.join(shares)}"
+        f"{len(elapsed_s)} scans in {elapsed_s[-1]:.0f} s, {way_m:.1f} m driven{known}"
+        f"{'; ' if shares else ''}{', '.join(shares)}"
     )
 
 
 def _map(run: ReportData) -> str:
-    picture = png(render(run.probability, run.resolution_m, run.origin_m, run.map_t_laser))
-    data = base64.b64encode(picture).decode()
+    data = base64.b64encode(run.picture).decode()
     alt = "Map from above: walls dark, free ground white, the way of the laser red"
     return f'<h2>Map</h2><img alt="{alt}" src="data:image/png;base64,{data}">'
 
@@ -204,9 +198,7 @@ def _stretches(
     map_t_laser: NDArray[np.float64], states: NDArray[np.str_], elapsed_s: NDArray[np.float64]
 ) -> str:
     """List where the match did not hold, the longest first."""
-    edges = np.flatnonzero(states[1:] != states[:-1]) + 1
-    begins, ends = np.r_[0, edges], np.r_[edges, len(states)] - 1
-    bad = [(b, e) for b, e in zip(begins, ends, strict=True) if states[b] != STATES[0]]
+    bad = [(begin, end) for begin, end in chart.spells(states) if states[begin] != STATES[0]]
     bad.sort(key=lambda be: elapsed_s[be[0]] - elapsed_s[be[1]])
     lines = []
     for begin, end in bad[:_LATE_STRETCHES]:

@@ -28,6 +28,8 @@ from runtime.formats.tum import write_tum
 from runtime.reports.picture import png, render
 
 RUN_FILE = "run.json"
+PICTURE_FILE = "map.png"
+REPORT_FILE = "report.html"
 LATEST = "latest"
 
 
@@ -50,8 +52,8 @@ class RunResult:
     run: Mapping[str, Any] = field(default_factory=dict)
     """Version, seed, input: what is needed to make the run again."""
     caption: str = ""
-    report: str = ""
-    """A page about the run, see `runtime.reports.report`; not written if empty."""
+    report: Callable[[bytes], str] | None = None
+    """Makes a page about the run, see `runtime.reports.report`, with the picture of the map, PNG."""
     session: Callable[[Path], None] | None = None
     """Writes the session to a path; see `runtime.formats.session`."""
     keep_out: NDArray[np.bool_] | None = None
@@ -68,25 +70,43 @@ def save(folder: Path, result: RunResult) -> None:
         (partial / "config.yaml").write_text(to_yaml(result.config), encoding="utf-8")
         write_tum(partial / "trajectory.tum", result.stamps_ns, result.trajectory)
         write_tum(partial / "odometry.tum", result.stamps_ns, result.odometry)
-        write_map(partial, result.grid)
-        if result.keep_out is not None and result.keep_out.any():
-            write_keep_out(partial, result.keep_out, result.grid)
-        grid = result.grid
-        picture = render(
-            grid.probability,
-            grid.resolution_m,
-            grid.origin_m,
-            result.path_m,
-            keep_out=result.keep_out,
-            caption=result.caption,
-        )
-        (partial / "map.png").write_bytes(png(picture))
-        if result.report:
-            (partial / "report.html").write_text(result.report, encoding="utf-8")
+        picture = write_products(partial, result.grid, result.path_m, result.keep_out, result.caption)
+        if result.report is not None:
+            (partial / REPORT_FILE).write_text(result.report(picture), encoding="utf-8")
         if result.session is not None:
             result.session(partial / session.FILE)
         (partial / "metrics.json").write_text(to_json(result.metrics), encoding="utf-8")
         (partial / RUN_FILE).write_text(to_json(result.run), encoding="utf-8")
+
+
+def write_products(
+    folder: Path,
+    grid: GridMap,
+    path_m: NDArray[np.float64],
+    keep_out: NDArray[np.bool_] | None,
+    caption: str,
+) -> bytes:
+    """Write a map as map_server reads it, with the mask of what a robot shall keep out of, and its picture.
+
+    Args:
+        folder: Where.
+        grid: The map.
+        path_m: (N, 2) of the laser in the map frame.
+        keep_out: (rows, cols) of the grid, or None.
+        caption: Under the picture.
+
+    Returns:
+        The picture, PNG, as it was written.
+    """
+    write_map(folder, grid)
+    if keep_out is not None and keep_out.any():
+        write_keep_out(folder, keep_out, grid)
+    image = render(
+        grid.probability, grid.resolution_m, grid.origin_m, path_m, keep_out=keep_out, caption=caption
+    )
+    picture = png(image)
+    (folder / PICTURE_FILE).write_bytes(picture)
+    return picture
 
 
 def to_json(value: Any) -> str:
@@ -117,6 +137,12 @@ def new_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(partial, ignore_errors=True)
 
 
+def default_folder(log: Path, results: Path = Path("results")) -> Path:
+    """Return where the results of a log go when nobody says: `results/<name of the log>`."""
+    name = log.name.split(".")[0] or log.name
+    return results / name
+
+
 def check_free(folder: Path) -> None:
     """Refuse a results folder that is something else, before any work is done; raises ConfigError."""
     if folder.is_dir():
@@ -124,9 +150,14 @@ def check_free(folder: Path) -> None:
             raise ConfigError(f"{folder}: holds other files and no {RUN_FILE}; choose another folder")
     elif folder.exists():
         raise ConfigError(f"{folder}: is a file, must be a folder or not exist")
-    parent = next(one for one in folder.absolute().parents if one.exists())
+    check_writable(folder)
+
+
+def check_writable(path: Path) -> None:
+    """Refuse a file or folder that cannot be made where it shall be, before any work; raises ConfigError."""
+    parent = next(one for one in path.absolute().parents if one.exists())
     if not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise ConfigError(f"{folder}: {parent} cannot be written to")
+        raise ConfigError(f"{path}: {parent} cannot be written to")
 
 
 def link_latest(folder: Path) -> None:

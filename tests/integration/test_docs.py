@@ -1,6 +1,5 @@
 """What the pages say: their commands exist, their programs run, their links lead somewhere."""
 
-import argparse
 import importlib
 import re
 import subprocess
@@ -10,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from runtime import cli
+from runtime.cli.parsing import Parser
 
 ROOT = Path(__file__).parents[2]
 PAGES = {page.name: page for page in sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])}
@@ -58,7 +58,7 @@ def test_every_call_on_a_page_is_one_that_hallway_takes(page, words):
         return
     verb, *rest = words
     assert verb in cli.VERBS, f"{page}: hallway {verb}"
-    parser = argparse.ArgumentParser(exit_on_error=False)
+    parser = Parser(exit_on_error=False)
     importlib.import_module(f"runtime.cli.{verb}").add_arguments(parser)
     parser.parse_args(rest)  # a wrong option raises or exits
 

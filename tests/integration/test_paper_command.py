@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,7 +7,8 @@ from PIL import Image
 
 from runtime.cli import main
 from runtime.cli.study import drives, figures, stages
-from runtime.reports.picture import HITS, PATH
+from runtime.formats.logs import open_log
+from runtime.reports.picture import HITS, PATH, UNKNOWN
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +61,16 @@ def test_a_log_without_truth_is_told_by_how_crisp_its_map_is(tmp_path):
     assert (out / "fig8-map-walk.png").is_file()
 
 
+def test_a_log_that_lost_something_is_studied_and_named(tmp_path, monkeypatch, capsys):
+    log, out = tmp_path / "walk.log", tmp_path / "paper"
+    write_carmen(log, drives.drive("doorway", 30, 1))
+    lossy = replace(open_log(log), losses=("walk.log: the file was cut",))
+    monkeypatch.setattr("runtime.formats.logs.open_log", lambda path: lossy)
+    assert main(["paper", "--out", str(out), "--scans", "20", "--buildings", "--logs", str(log)]) == 4
+    assert "hallway paper: walk.log: the file was cut\n" in capsys.readouterr().err
+    assert (out / "index.html").is_file()
+
+
 def write_carmen(path, driven):
     lines = []
     for number, scan in enumerate(driven.scans):
@@ -77,11 +89,24 @@ def test_errors_of_the_truth_itself_are_none():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "message"), [(["--scans", "3"], "--scans = 3"), (["--buildings", "rom"], "rom")]
+    ("wrong", "message"),
+    [
+        (["--scans", "3"], "--scans = 3"),
+        (["--buildings", "rom"], "rom"),
+        (["--seed", "-1"], "--seed = -1, must be in"),
+        (["--out", __file__], "is a file, must be a folder"),
+        (["--out", "/dev/null/paper"], "/dev/null cannot be written to"),
+    ],
 )
 def test_a_wrong_wish_is_one_clear_line(wrong, message, tmp_path, capsys):
     assert main(["paper", "--out", str(tmp_path / "p"), *wrong]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_both_halves_of_the_resampling_figure_show_the_same_ground():
+    image = np.asarray(figures.resampling(drives.drive("doorway", 40, 1), 20))
+    ends = [np.flatnonzero((image[:, column] == UNKNOWN).all(axis=-1))[-1] for column in (3, -3)]
+    assert ends[0] == ends[1]
 
 
 def test_the_curves_have_room_beside_a_low_picture():

@@ -311,8 +311,13 @@ def test_the_status_as_a_stream_tells_of_the_hub_and_of_the_clock(desk):
             assert time.monotonic() < end
             time.sleep(0.05)
         assert health.vitals()["supervisor"].number("loop_age_s") < 1.5
+    staying = desk.start("status", "--robot", "trial", "--json")
+    first = staying.stdout.readline()
     up.send_signal(signal.SIGINT)
     up.communicate(timeout=20)
+    out, err = staying.communicate(timeout=20)
+    assert all(json.loads(line)["robot"] == "trial" for line in (first, *out.splitlines()))
+    assert err == "robot 'trial' has ended\n"
 
 
 def test_old_results_of_that_name_are_kept_beside_the_new(desk):

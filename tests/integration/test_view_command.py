@@ -83,6 +83,10 @@ def test_a_recording_is_shown_on_a_page_until_ctrl_c(recording, tmp_path, kind):
         (["view", "--web", "--save", "x.rrd"], "choose one"),
         (["view", "nowhere.mcap", "--save", "x.rrd"], "nowhere.mcap: No such file"),
         (["view", "nowhere.rrd", "--web"], "nowhere.rrd: No such file"),
+        (["view", "empty.mcap", "--save", "x.rrd"], "empty.mcap: the file is empty"),
+        (["view", "empty.mcap", "--save", "x.txt"], "--save x.txt: must end in .rrd"),
+        (["view", "empty.mcap", "--save", "empty.mcap/x.rrd"], "empty.mcap cannot be written to"),
+        (["view", ".", "--save", "x.rrd"], ".: a folder without session.mcap"),
         (["view", "--memory", "1"], "memory_mb = 1"),
         (["view", "--robot", "nobody", "--web"], "nobody"),
         (["view", "--robot", "nobody", "--connect", "10.0.0.7", "--web"], "not paired with 'nobody'"),
@@ -91,6 +95,7 @@ def test_a_recording_is_shown_on_a_page_until_ctrl_c(recording, tmp_path, kind):
 def test_a_wrong_wish_is_one_clear_line(arguments, message, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    (tmp_path / "empty.mcap").touch()
     assert main(arguments) not in (0, 130)
     error = capsys.readouterr().err
     assert message in error

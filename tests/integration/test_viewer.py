@@ -241,6 +241,29 @@ def test_a_run_is_saved_as_a_file_that_rerun_reads(start, tmp_path):
         assert path in stats
 
 
+@pytest.mark.parametrize("told", [True, False])
+def test_a_saved_session_has_no_empty_places_for_what_a_robot_tells(tmp_path, told):
+    from runtime.nodes.viewing.screen import Screen
+
+    Screen("robot", file=tmp_path / "run.rrd", told=told).close(10.0)
+    command = [viewer_server.program(), "rrd", "print", "-vvv", str(tmp_path / "run.rrd")]
+    views = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "TextDocument" in views
+    assert ("TimeSeries" in views) is ("TextLog" in views) is told
+
+
+def test_what_happened_is_told_with_its_time_of_day(tmp_path):
+    from runtime.nodes.viewing.screen import Screen
+
+    screen = Screen("robot", file=tmp_path / "run.rrd")
+    screen.at(story.stamp(25))
+    screen.note("warn", "laser: rate is 8 Hz")
+    screen.close(10.0)
+    command = [viewer_server.program(), "rrd", "print", "-vvv", "--entity", "log", str(tmp_path / "run.rrd")]
+    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "14:13:22 laser: rate is 8 Hz" in told
+
+
 def test_a_viewer_whose_program_is_killed_says_so_and_ends(start):
     process = start(mode="web", **ports(), memory_mb=64)
     process.tell(5)

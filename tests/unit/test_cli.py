@@ -61,6 +61,7 @@ def test_a_verb_gets_its_arguments_and_gives_the_exit_code(verb):
         ("from runtime.errors import DataLostError; raise DataLostError('3 scans')", 4, "3 scans"),
         ("from drivers.errors import DeviceError; raise DeviceError('no laser')", 3, "no laser"),
         ("open('/no/such/file')", 2, "/no/such/file: No such file or directory"),
+        ("raise PermissionError(13, 'Permission denied', 'a.clf')", 2, "a.clf: Permission denied"),
         ("raise OSError(5, 'Input/output error', '/dev/ttyACM0')", 1, "ttyACM0: Input/output error"),
     ],
 )
@@ -99,6 +100,40 @@ def test_an_unknown_option_is_said_under_the_usage_of_its_verb(verb, capsys):
     err = capsys.readouterr().err
     assert err.startswith("usage: hallway trial_verb [-h] [--n N]")
     assert "unrecognized arguments: --m 5" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            "up demo --headles",
+            "hallway up: error: unrecognized arguments: --headles; did you mean '--headless'?",
+        ),
+        ("up demo --head", "unrecognized arguments: --head; did you mean '--headless'?"),
+        ("--headless up demo", "unrecognized arguments: --headless; write it at the end of the line"),
+        ("topic echo scan --ful=1", "unrecognized arguments: --ful=1; did you mean '--full'?"),
+        (
+            "topic ech scan",
+            "hallway topic: error: argument ACTION: invalid choice: 'ech'; did you mean 'echo'?",
+        ),
+        ("mapp a.log", "hallway: error: argument VERB: invalid choice: 'mapp'; did you mean 'map'?"),
+        ("keys invite me --role king", "invalid choice: 'king'; choose from viewer, operator, machine"),
+        ("replay a.mcap --start nan", "argument --start: nan, must be at least 0 and finite"),
+        ("evaluate a.tum --reference b.tum --laser-in-base inf 0 0", "inf, must be finite"),
+        ("topic --domain 233 list", "argument --domain: 233, must be in [0, 232]"),
+        ("keys invite a --address h:99999", "h:99999, must be HOST or HOST:PORT, the port in [1, 65535]"),
+        ("up demo --remote 1.2.3.4:x", "argument --remote: 1.2.3.4:x, must be HOST or HOST:PORT"),
+        ("view --connect :7448", "argument --connect: :7448, must be HOST or HOST:PORT"),
+        ("logs -n -5", "argument -n/--lines: -5, must be at least 0"),
+        ("doctor --seconds x", "argument --seconds: 'x', must be a number"),
+        ("map a.log b.log", "unrecognized arguments: b.log\n"),
+    ],
+)
+def test_a_word_is_taken_whole_or_refused_with_the_nearest_one(words, said, capsys):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(words.split())
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

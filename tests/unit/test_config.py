@@ -143,8 +143,14 @@ def test_a_file_that_is_not_there_or_not_yaml_is_one_line_with_its_place(tmp_pat
     with pytest.raises(ConfigError, match=r"bad\.yaml:3: not YAML"):
         config.load(Outer, bad)
     bad.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigError, match=r"bad\.yaml"):
+    with pytest.raises(ConfigError, match=r"bad\.yaml: not text: byte 0xff found"):
         config.load(Outer, bad)
+
+
+def test_what_is_no_number_is_no_value(tmp_path):
+    (tmp_path / "a.yaml").write_text("pair: [1.0, .nan]\n")
+    with pytest.raises(ConfigError, match=r"a\.yaml\.pair\[1\] = nan, must be a number"):
+        config.load(Outer, tmp_path / "a.yaml")
 
 
 def test_a_key_given_twice_is_an_error(tmp_path):

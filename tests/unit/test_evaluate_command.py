@@ -72,6 +72,13 @@ def test_a_reference_gives_ate_and_rpe_whatever_its_frame(files, capsys):
     assert report["rpe"]["rotation_deg"]["max"] < 1e-4
 
 
+def test_a_way_shorter_than_a_stretch_is_told(files, capsys):
+    assert main(["evaluate", str(files), "--reference", str(files), "--stretch", "1000"]) == 0
+    out, err = capsys.readouterr()
+    assert "RPE" not in out
+    assert err == "hallway evaluate: no RPE: the way is shorter than --stretch 1000 m\n"
+
+
 def test_the_mounting_of_the_laser_turns_its_poses_into_the_bases(files, capsys):
     mounting = np.array([-0.04, 0.1, 0.3])
     write_tum(files / "laser.tum", STAMPS, se2.compose(POSES, mounting))
@@ -86,6 +93,7 @@ def test_the_mounting_of_the_laser_turns_its_poses_into_the_bases(files, capsys)
         (["nowhere.tum", "--relations", "r"], "nowhere.tum: No such file or directory"),
         (["{}/trajectory.tum", "--reference", "{}/bad.tum"], "bad.tum:1: 3 columns, must be 8"),
         (["{}", "--reference", "{}/trajectory.tum", "--stretch", "0"], "--stretch = 0.0, must be positive"),
+        (["{}", "--reference", "{}", "--stretch", "inf"], "--stretch = inf, must be positive and finite"),
         (["{}", "--reference", "{}/trajectory.tum", "--max-difference", "-1"], "--max-difference = -1.0"),
     ],
 )  # fmt: skip

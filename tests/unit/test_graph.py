@@ -230,10 +230,7 @@ def test_a_graph_begins_on_a_saved_map(tmp_path):
     assert derived.name == file.name
 
 
-def test_a_saved_map_that_is_not_there_or_that_nobody_takes_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="must be a session"):
-        on_map(graph.find("demo"), tmp_path, False, tmp_path)
-    (tmp_path / "session.mcap").write_bytes(b"")
+def test_a_saved_map_that_nobody_takes_is_refused(tmp_path):
     lone = tmp_path / "lone.yaml"
     lone.write_text("nodes:\n  base: {module: base}\n")
     with pytest.raises(ConfigError, match="no mapper"):

@@ -2,10 +2,13 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from runtime.cli import main
+from runtime.cli.info import _began
 from runtime.formats.mcap_log import McapChannel
+from runtime.formats.session import Parts, SessionWriter
 from runtime.recordings.recording import Recording, RecordingConfig
 
 S = 10**9
@@ -81,7 +84,7 @@ def test_people_get_a_table(tmp_path, capsys):
     recorded(tmp_path / "a.mcap", [1, 2, 5]).close(3 * S)
     assert main(["info", str(tmp_path / "a.mcap")]) == 4
     out = capsys.readouterr().out
-    assert "began                1970-01-01 00:00:00 UTC\n" in out
+    assert "began                at 0.100 s of a clock that knows no date\n" in out
     assert "/robot/scan                         3    5.00        2  sensor_msgs/msg/LaserScan" in out
     assert "missing messages of               time s    first   count\n" in out
     assert "/robot/scan                        0.400        3       2\n" in out
@@ -102,6 +105,52 @@ def test_what_has_parts_of_its_own_is_in_brackets(tmp_path, capsys):
     (tmp_path / "run.json").write_text('{"session": {"drives": 2, "cells": {"wall": 3, "erased": 0}}}')
     assert main(["info", str(tmp_path)]) == 0
     assert "session              drives=2, cells=(wall=3, erased=0)\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("stamp_s", "said"),
+    [(212.57, "at 212.570 s of a clock that knows no date"), (976052857.3, "2000-12-05 21:47:37 UTC")],
+)
+def test_a_beginning_is_a_date_where_the_clock_knows_one(stamp_s, said):
+    assert _began(stamp_s) == said
+
+
+def test_people_read_rounded_numbers_of_a_session_and_machines_exact_ones(tmp_path, capsys):
+    arrays = {"paints": np.zeros(0, np.uint8)}
+    parts = Parts(
+        posterior={"keys": np.arange(4)},
+        config="",
+        trajectory=b"",
+        picture=b"",
+        resolution_m=0.05,
+        origin_m=(-19.700000000000003, 2.0),
+        layer=arrays,
+    )
+    SessionWriter(tmp_path / "a.mcap", {"version": "1.2"}).finish(parts)
+    _, report = info(capsys, tmp_path / "a.mcap")
+    assert report["session"]["origin_m"] == [-19.700000000000003, 2.0]
+    main(["info", str(tmp_path / "a.mcap")])
+    assert "resolution_m=0.05, origin_m=(-19.7, 2), key_scans=4" in capsys.readouterr().out
+
+
+def test_the_results_of_a_live_run_fit_a_page(tmp_path, capsys):
+    run = {
+        "processes": {"hub": {"state": "ended", "restarts": 0}, "laser": {"state": "ended", "reasons": []}},
+        "latency": {"unit": "ms", "late": 3, "hops": {"scan": {"p50": 1.5}, "map": {"p50": 2.5}}},
+        "events": ["1 hub: starts", "2 hub: ended"],
+        "finished": True,
+    }
+    (tmp_path / "run.json").write_text(json.dumps(run))
+    assert main(["info", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.splitlines()[2:-1] == [
+        "processes hub        state=ended, restarts=0",
+        "processes laser      state=ended, reasons=none",
+        "latency              unit=ms, late=3",
+        "latency hops scan    p50=1.5",
+        "latency hops map     p50=2.5",
+        "events               2, in run.json and in the logs",
+        "finished             yes",
+    ]
 
 
 def test_a_results_folder_tells_what_made_it(tmp_path, capsys):

@@ -186,3 +186,22 @@ def test_no_file_is_written_over_for_ros(home, capsys):
     assert (home / "a.json5").read_text() == "mine"
     assert main(["keys", "ros", "a.json5"]) == 2
     assert "a.json5: is no invitation of a robot" in capsys.readouterr().err
+
+
+def test_no_keys_are_made_for_a_robot_that_cannot_be(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    assert main(["keys", "make", "--robot", "1st"]) == 2
+    assert capsys.readouterr().err == (
+        "hallway keys: --robot = '1st', must be lower-case letters, digits and underscores\n"
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nobody_is_on_the_list_whose_invitation_cannot_be_written(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    keys.make("robot", ["h"])
+    out = tmp_path / "a file" / "anna.invitation"
+    (tmp_path / "a file").touch()
+    assert main(["keys", "invite", "anna", "--address", "h", "--out", str(out)]) == 2
+    assert capsys.readouterr().err.endswith(f"{tmp_path / 'a file'} cannot be written to\n")
+    assert keys.authority("robot").roster() == {}

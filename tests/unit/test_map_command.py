@@ -1,5 +1,6 @@
 """`hallway map`: a log in, a results folder out, or one clear line and nothing."""
 
+import base64
 import hashlib
 import json
 import os
@@ -67,6 +68,12 @@ def test_every_scan_has_a_pose_under_its_raw_stamp_in_file_order(log, tmp_path, 
     assert set(os.listdir(tmp_path / "run")) >= {"map.pgm", "map.yaml", "map.png", "metrics.json", "run.json"}
 
 
+def test_the_report_has_the_picture_of_the_map_as_it_is(log, tmp_path):
+    assert main(["map", str(log), "--out", str(tmp_path / "run")]) == 0
+    picture = base64.b64encode((tmp_path / "run" / "map.png").read_bytes()).decode()
+    assert picture in (tmp_path / "run" / "report.html").read_text()
+
+
 def test_the_trajectory_is_where_the_laser_went(log, tmp_path):
     assert main(["map", str(log), "--out", str(tmp_path / "run")]) == 0
     true = np.array(poses())
@@ -118,6 +125,21 @@ def test_odd_input_is_told_before_the_run(log, tmp_path, capsys):
         " the order of the file is kept"
     ]
     assert f"{SCANS} scans in" in captured.out
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["map", "{log}", "--continue", "{log}"],
+        ["map", "{log}", "--config", "nowhere.yaml"],
+        ["map", "{log}", "--out", "{log}"],
+        ["localize", "{log}", "{log}"],
+        ["localize", "{log}", "nowhere.clf"],
+    ],
+)
+def test_nobody_waits_for_loops_to_be_compiled_before_what_is_missing_is_said(log, monkeypatch, arguments):
+    monkeypatch.setattr("runtime.cli.compiling.compile_here", lambda verb: pytest.fail("compiles"))
+    assert main([word.format(log=log) for word in arguments]) == 2
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import errno
 import fcntl
+import threading
 import time
 from pathlib import Path
 
@@ -10,12 +11,14 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from runtime.cli import main
 from runtime.formats.errors import FormatError
 from runtime.formats.logs import open_log
 from runtime.formats.mcap_log import McapChannel, McapReader
 from runtime.formats.mcap_writer import McapWriter, is_written
 from runtime.formats.missing import STATUS_TYPE
 from runtime.messages import LaserScan, decode, encode, header
+from runtime.nodes.recorder import RING
 from runtime.recordings import recovery
 from runtime.recordings.recording import Counts, Recording, RecordingConfig
 from runtime.recordings.recovery import keep_ring, recover_cut, salvage
@@ -620,3 +623,19 @@ def test_a_file_that_a_killed_recorder_left_in_a_ring_is_kept_and_not_waited_for
 def test_a_ring_of_another_length_is_refused():
     with pytest.raises(ValueError, match="ring_s = 3"):
         RecordingConfig(ring_s=3.0)
+
+
+def test_who_waits_for_the_newest_part_of_a_ring_is_told_why(tmp_path, monkeypatch, capsys):
+    heard = threading.Event()
+    monkeypatch.setattr("runtime.cli.patience.LONG_S", 0.01)
+    monkeypatch.setattr("runtime.cli.record._tell", lambda line: (told.append(line), heard.set()))
+    monkeypatch.setattr("runtime.rundir.run_dir", lambda robot: tmp_path)
+    monkeypatch.setattr(
+        "runtime.recordings.recovery.keep_ring",
+        lambda ring, folder, within_s: [folder / "a.mcap"] if heard.wait(10.0) else [],
+    )
+    (tmp_path / RING).symlink_to(tmp_path / "ring.mcap")
+    told = []
+    assert main(["record", "--keep", "--out", str(tmp_path / "kept")]) == 0
+    assert told == ["the newest part is still written; it is kept when it is whole, in 90 s at most"]
+    assert capsys.readouterr().out == f"{tmp_path}/kept/: a.mcap\n"

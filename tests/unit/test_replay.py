@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from runtime.bus.memory import MemoryBus
-from runtime.cli import replay_map
+from runtime.cli import replay, replay_map
 from runtime.cli.replay_keys import obey
 from runtime.errors import ConfigError
 from runtime.formats.mcap_log import McapChannel
@@ -187,6 +187,15 @@ def test_the_keys_mean_what_the_help_says():
     assert not obey("q", control)
 
 
+def test_what_is_said_at_the_end_stands_on_a_line_of_its_own(recording, monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    line = replay._Screen(Recorded([recording], ReplayConfig()), Control(), quiet=False)
+    line.show(0)
+    assert capsys.readouterr().err.endswith(" s, 1 x")
+    line.clear()
+    assert capsys.readouterr().err == "\r\x1b[K"
+
+
 def test_parts_of_one_recording_are_played_one_after_the_other(tmp_path):
     a = write(tmp_path / "a_000.mcap", [("scan", n * S // 10, scan(n)) for n in range(3)])
     b = write(tmp_path / "a_001.mcap", [("scan", n * S // 10, scan(n)) for n in range(3, 6)], first=4)
@@ -230,7 +239,8 @@ def test_what_is_not_there_cannot_be_played(recording, config, said):
 
 
 @pytest.mark.parametrize(
-    "config", [{"rate": -1.0}, {"rate": 1000.0}, {"start_s": -1.0}, {"duration_s": -1.0}]
+    "config",
+    [{"rate": -1.0}, {"rate": 1000.0}, {"start_s": -1.0}, {"start_s": np.nan}, {"duration_s": np.inf}],
 )
 def test_a_wrong_configuration_is_refused(config):
     with pytest.raises(ValueError, match=next(iter(config))):

@@ -1,3 +1,4 @@
+import base64
 import html.parser
 import re
 
@@ -54,9 +55,8 @@ def run(count=200, **changes):
     t = np.arange(count)
     values = {
         "title": "a <drive> & more",
-        "probability": np.zeros((40, 60), dtype=np.float32),
-        "resolution_m": 0.05,
-        "origin_m": (0.0, 0.0),
+        "picture": b"a picture",
+        "known_m2": 6.0,
         "stamps_ns": 1_000_000_000 + 100_000_000 * t,
         "map_t_laser": np.column_stack((0.01 * t, np.ones(count), np.zeros(count))),
         "states": ["TRACKING"] * count,
@@ -283,7 +283,9 @@ def test_a_run_that_was_live_has_its_page_made_of_its_files(tmp_path):
 
     folder = tmp_path / "run"
     data = run(50)
-    grid = GridMap(data.probability, 0.05, (0.0, 0.0))
+    probability = np.full((40, 60), 0.4, dtype=np.float32)
+    probability[5:30], probability[:5] = 0.1, np.nan
+    grid = GridMap(probability, 0.05, (0.0, 0.0))
     hops = {"unit": "ms", "hops": {"map": {"count": 9, "p50": 2.5, "p99": 7.0, "max": 8.0}}, "late": 3}
     processes = {"matcher": {"restarts": 2, "reasons": ["killed by signal 9"]}, "mapper": {"restarts": 0}}
     events = ["1700 matcher: ended with exit code -9, starts again", "1701 mapper: ready"]
@@ -299,7 +301,11 @@ def test_a_run_that_was_live_has_its_page_made_of_its_files(tmp_path):
     )
     save(folder, result)
     assert report_on(folder, "demo")
-    text = " ".join(read((folder / "report.html").read_text()).text)
+    page_ = read((folder / "report.html").read_text())
+    (address,) = page_.addresses
+    picture = base64.b64decode(address.removeprefix("data:image/png;base64,"))
+    assert picture == (folder / "map.png").read_bytes()
+    text = " ".join(page_.text)
     assert "map 2.5 7.0 8.0" in text
     assert "late 3" in text
     assert "matcher, started again 2: killed by signal 9" in text

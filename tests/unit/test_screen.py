@@ -122,6 +122,7 @@ def test_an_eighty_column_terminal_holds_a_robot_a_line_each_and_what_is_wrong_i
     wrong = process("monitor", "warn", cause), process("base", "error", "port gone", "backoff", restarts=2)
     processes = (*calm, *wrong)
     lines = painted(status(dict.fromkeys(latency.HOPS, HOPS["match"]), processes=processes), 80)
+    assert sum(line.endswith((" published", " drawn")) for line in lines) == len(latency.HOPS)
     assert len(lines) <= 23  # with the cursor's line, of the 24 that terminals begin with
     rows = [line for line in lines if line.startswith("pretrigger")]
     assert [row.split()[0] for row in rows] == [f"pretrigger{n}" for n in "1234567"]

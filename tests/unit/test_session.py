@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from runtime.cli import main
 from runtime.formats.errors import FormatError
 from runtime.formats.logs import open_log
 from runtime.formats.mcap_log import McapChannel
@@ -64,7 +65,7 @@ def test_a_results_folder_stands_for_the_session_in_it(tmp_path):
     written(tmp_path / FILE)
     assert read_session(tmp_path).path == tmp_path / FILE
     (tmp_path / FILE).unlink()
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(FormatError, match=r"a folder without session\.mcap"):
         read_session(tmp_path)
 
 
@@ -157,3 +158,24 @@ def test_program_objects_are_never_read(tmp_path):
     )  # fmt: skip
     with pytest.raises(CutSessionError, match="posterior"):
         read_session(written(tmp_path / "a.mcap", parts=parts))
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "said"),
+    [
+        ("empty.mcap", 2, "empty.mcap: no session: it is no MCAP file"),
+        ("cut.mcap", 4, "cut.mcap: the file was cut"),
+        ("folder", 2, "folder: a folder without session.mcap, must be a session or a results folder"),
+        ("missing", 2, "missing: No such file or directory"),
+    ],
+)
+def test_no_process_starts_on_what_is_no_session(name, code, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty.mcap").touch()
+    (tmp_path / "folder").mkdir()
+    whole = written(tmp_path / "cut.mcap")
+    whole.write_bytes(whole.read_bytes()[:-500])
+    before = sorted(tmp_path.iterdir())
+    assert main(["up", "demo", "--headless", "--on", name]) == code
+    assert capsys.readouterr().err.startswith(f"hallway up: {said}")
+    assert sorted(tmp_path.iterdir()) == before

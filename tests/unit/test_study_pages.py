@@ -108,6 +108,23 @@ def test_the_same_blocks_are_markdown():
     assert '![seen "so"](f.png)' in lines
 
 
+def test_what_nobody_measured_is_an_empty_cell():
+    short = numbers(1.0, 0)
+    short[stages.WHOLE]["stretch_mm"] = float("nan")
+    page = tables.page({"hall": short}, {"hall": short}, {})
+    whole = next(block for block in page if isinstance(block, Table) and block.titles[0] == "building")
+    assert whole.rows[0][whole.titles.index("over 1 m, mm")] == ""
+
+
+def test_words_stand_on_the_left_and_numbers_on_the_right():
+    table = Table(("what", "how", "1 m, mm"), [("a", "0.5", ""), ("b", "30 at most", "1.25%")])
+    assert markdown([table]).splitlines()[1] == "|---|---|---:|"
+    page = web_page([Heading("A", 1), table])
+    assert page.count('class="number"') == 3
+    assert '<th class="number">1 m, mm</th>' in page
+    assert '<td>30 at most</td><td class="number">1.25%</td>' in page
+
+
 @pytest.mark.parametrize(
     ("most", "step", "count"), [(0.95, 0.2, 5), (0.82, 0.2, 5), (50, 10, 6), (30, 10, 4), (7, 2, 4)]
 )

@@ -121,7 +121,7 @@ def test_a_topic_of_ours_may_be_waited_for(bus, capsys):
 
 def test_a_topic_that_nobody_has_is_named(bus, capsys):
     assert main(["topic", "echo", "scam"]) == 2
-    assert "topic 'scam': unknown; known: scan," in capsys.readouterr().err
+    assert "topic 'scam': unknown; did you mean 'scan'?" in capsys.readouterr().err
 
 
 def test_the_list_has_foreign_topics_too(bus, capsys):

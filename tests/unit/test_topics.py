@@ -16,7 +16,9 @@ def test_a_row_is_found_by_its_own_name():
 
 
 def test_an_unknown_topic_is_an_error_that_lists_the_known():
-    with pytest.raises(ConfigError, match=r"topic 'scam': unknown; known: scan, odom"):
+    with pytest.raises(ConfigError, match=r"topic 'lidar': unknown; known: scan, odom"):
+        topic("lidar")
+    with pytest.raises(ConfigError, match=r"topic 'scam': unknown; did you mean 'scan'\?"):
         topic("scam")
 
 

@@ -67,3 +67,10 @@ def test_the_summary_does_not_repeat_the_reason(tmp_path, capsys):
     report["reason"] = ""
     up._say(report, False)
     assert f"base: 5 restarts, last: {MISSING}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("asked", "door"), [("0.0.0.0", "0.0.0.0:7448"), ("pi", "pi:7448"), ("10.0.0.7:99", "10.0.0.7:99")]
+)
+def test_guests_come_in_at_the_usual_port_where_none_is_named(asked, door):
+    assert up._door(asked) == door

@@ -77,7 +77,9 @@ def test_a_session_shows_its_map_its_scans_and_the_way_of_the_last_drive(session
     assert draw(content, canvas) == 1 + 2 + 15 * 3  # the map, two beginnings, three messages a scan
     cells, resolution_m, origin_m = canvas.of("grid")[-1]
     assert (cells.tolist(), resolution_m, origin_m) == ([[0, 0], [100, -1]], 0.05, (-1.0, 3.0))
-    assert canvas.of("words")[-1][0].startswith("# SAVED\n\nA session of 2 drives")
+    words = [one[0] for one in canvas.of("words")]
+    assert words[0] == words[-1]
+    assert words[0].startswith("# SAVED\n\nA session of 2 drives")
     np.testing.assert_allclose(canvas.of("path")[-1][0][:, 0], 6.0 + 0.5 * np.arange(7), atol=1e-6)
     lasers = np.array([arguments[0] for arguments in canvas.of("laser")])
     # The newest waits for a scan after it, which never comes.

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 _STYLE = """
 body { font: 15px/1.5 sans-serif; color: #1c2430; max-width: 1120px; margin: 24px auto; padding: 0 16px }
 table { border-collapse: collapse; display: block; overflow-x: auto; margin: 12px 0 }
-th, td { padding: 3px 9px; border-bottom: 1px solid #e2e6ea; text-align: right; vertical-align: bottom }
+th, td { padding: 3px 9px; border-bottom: 1px solid #e2e6ea; text-align: left; vertical-align: bottom }
 td { white-space: nowrap }
-th:first-child, td:first-child { text-align: left }
+.number { text-align: right; font-variant-numeric: tabular-nums }
 figure { margin: 18px 0 } figcaption { color: #464e58 } img { max-width: 100%; border: 1px solid #e2e6ea }
 """
 
@@ -31,10 +31,14 @@ class Words:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Titles of the columns, and rows of as many cells."""
+    """Titles of the columns, and rows of as many cells; numbers stand below each other on the right."""
 
     titles: Sequence[str]
     rows: Sequence[Sequence[str]]
+
+    def of_numbers(self) -> list[bool]:
+        """Return of each column whether it holds numbers, or nothing, alone."""
+        return [all(map(_is_number, column)) for column in zip(*self.rows, strict=True)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +77,8 @@ def _marked(block: Block) -> str:
             return f"![{caption}]({file})\n\n*{caption}*\n"
         case Table(titles, rows):
             lines = ["| " + " | ".join(cells) + " |" for cells in (titles, *rows)]
-            return "\n".join([lines[0], "|" + "---|" * len(titles), *lines[1:]]) + "\n"
+            rule = "".join("---:|" if numbers else "---|" for numbers in block.of_numbers())
+            return "\n".join([lines[0], f"|{rule}", *lines[1:]]) + "\n"
 
 
 def _tagged(block: Block) -> str:
@@ -87,8 +92,20 @@ def _tagged(block: Block) -> str:
             picture = f'<img src="{html.escape(file)}" alt="{said}" loading="lazy">'
             return f"<figure>{picture}<figcaption>{said}</figcaption></figure>"
         case Table(titles, rows):
-            return f"<table>{_row(titles, 'th')}{''.join(_row(row, 'td') for row in rows)}</table>"
+            numbers = block.of_numbers()
+            body = "".join(_row(row, "td", numbers) for row in rows)
+            return f"<table>{_row(titles, 'th', numbers)}{body}</table>"
 
 
-def _row(cells: Sequence[str], tag: str) -> str:
-    return "<tr>" + "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells) + "</tr>"
+def _row(cells: Sequence[str], tag: str, numbers: Sequence[bool]) -> str:
+    kinds = (' class="number"' if number else "" for number in numbers)
+    each = (f"<{tag}{kind}>{html.escape(cell)}</{tag}>" for cell, kind in zip(cells, kinds, strict=True))
+    return f"<tr>{''.join(each)}</tr>"
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.removesuffix("%") or 0)
+    except ValueError:
+        return False
+    return True

@@ -21,6 +21,7 @@ SIZE_PX = 900
 _EMPTY = np.full((1, 1), np.nan, dtype=np.float32)
 _CELL_M = 0.05
 _MAGNIFIED = 30
+_MARGIN_M = 0.5
 
 
 def resampling(drive: Drive, number: int) -> Image.Image:
@@ -30,8 +31,10 @@ def resampling(drive: Drive, number: int) -> Image.Image:
     resampler = Resampler(OdometryConfig().resampling, scan.beams)
     resampler.points(scan, np.zeros(3))
     kept = resampler.means()
+    low, high = every.min(axis=0) - _MARGIN_M, every.max(axis=0) + _MARGIN_M
+    ground = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
     pictures = [
-        _points(points, f"{len(points)} {words}")
+        _points(points, f"{len(points)} {words}", ground)
         for points, words in ((every, "points of the sweep"), (kept, "points kept"))
     ]
     return beside(pictures)
@@ -159,8 +162,11 @@ def _resampled(drive: Drive, number: int) -> NDArray[np.float64]:
     return resampler.means()
 
 
-def _points(points: NDArray[np.float64], caption: str) -> Image.Image:
-    return render(_EMPTY, 0.05, (0.0, 0.0), hits=points, caption=caption, size_px=SIZE_PX // 2)
+def _points(
+    points: NDArray[np.float64], caption: str, bounds_m: tuple[float, float, float, float]
+) -> Image.Image:
+    size_px = SIZE_PX // 2
+    return render(_EMPTY, 0.05, (0.0, 0.0), hits=points, caption=caption, size_px=size_px, bounds_m=bounds_m)
 
 
 def _members(population: NDArray[np.float64], half: NDArray[np.float64], caption: str) -> Image.Image:

@@ -188,5 +188,10 @@ def _mean(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
 def _table(rows: Mapping[str, Mapping[str, Any]], first: str, columns: Columns) -> Table:
     titles = (first, *(title for _, title, _ in columns))
     return Table(
-        titles, [(name, *(form.format(row[key]) for key, _, form in columns)) for name, row in rows.items()]
+        titles, [(name, *(_cell(row[key], form) for key, _, form in columns)) for name, row in rows.items()]
     )
+
+
+def _cell(value: float, form: str) -> str:
+    """Return a value as it is shown; nothing where there is none, as over 1 m of a shorter way."""
+    return "" if np.isnan(value) else form.format(value)

@@ -32,7 +32,7 @@ def shown(file: Path) -> Shown:
 
     Raises:
         ConfigError: It holds nothing that can be shown.
-        FormatError: It is no MCAP file.
+        FormatError: It is no MCAP file, and no results folder.
         CutSessionError: A session whose end is missing: its scans alone lie nowhere.
     """
     session = _session(file)
@@ -55,18 +55,23 @@ def draw(content: Shown, canvas: Canvas, stopping: Callable[[], bool] = lambda: 
     scene = Scene(content.name, lambda kind, paint: paint(canvas))
     taken = 0
     for received in content.messages:
+        if content.words and not taken:  # a long session is looked at before its end
+            canvas.at(received.received_ns)
+            canvas.words(content.words)
         scene.take(received)
         taken += 1
         if stopping():
             return taken
     # What was drawn seldom ends as it was last.
     scene.again()
-    if content.words:
+    if content.words:  # over those for a robot that tells nothing of itself
         canvas.words(content.words)
     return taken
 
 
 def _session(file: Path) -> Session | None:
+    if file.is_dir():
+        return read_session(file)
     try:
         return read_session(file)
     except CutSessionError:

@@ -162,8 +162,7 @@ class Scene:
         self._pose = (pose, covariance)
         self._path.append(pose[:2])
         if received.published_ns and self._due("latency", stamp_ns):
-            taken_ms = round((received.published_ns - stamp_ns) / 1e6, 1)
-            self._at("latency", stamp_ns, lambda c: c.number("latency/scan_to_pose", taken_ms))
+            self._paint_age("scan_to_pose", stamp_ns, received.published_ns)
         self._paint_path(stamp_ns)
 
     def _on_map(self, message: Any, received: Received) -> None:
@@ -175,8 +174,7 @@ class Scene:
         self._grid = (cells, float(info.resolution), origin)
         stamp_ns = messages.stamp_ns_of(message.header.stamp)
         if received.published_ns:
-            taken_ms = round((received.published_ns - stamp_ns) / 1e6, 1)
-            self._at("latency_map", stamp_ns, lambda c: c.number("latency/scan_to_map", taken_ms))
+            self._paint_age("scan_to_map", stamp_ns, received.published_ns)
         self._paint_map(stamp_ns)
 
     def _on_map_updates(self, message: Any, received: Received) -> None:
@@ -270,6 +268,10 @@ class Scene:
             self._drawn(stamp_ns)
 
         self._at("scan", stamp_ns, draw)
+
+    def _paint_age(self, name: str, stamp_ns: int, published_ns: int) -> None:
+        age_ms = round((published_ns - stamp_ns) / 1e6, 1)
+        self._at(f"age {name}", stamp_ns, lambda c: c.number(f"latency/{name}", age_ms))
 
     def _paint_path(self, stamp_ns: int) -> None:
         if len(self._path) > 2 * PATH_POINTS_MAX:

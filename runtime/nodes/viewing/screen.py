@@ -56,15 +56,23 @@ class Screen:
     Args:
         name: Of the robot, shown as the recording's name.
         fit: Whether the view moves away when the map outgrows it.
+        told: Whether states, ages and rates are told, too; else there is no place for them.
     """
 
     def __init__(
-        self, name: str, *, url: str | None = None, file: Path | None = None, fit: bool = True
+        self,
+        name: str,
+        *,
+        url: str | None = None,
+        file: Path | None = None,
+        fit: bool = True,
+        told: bool = True,
     ) -> None:
         # 8 ms between drawing and sending; a file waits for 200 ms, and is smaller for it.
         batching = rr.ChunkBatcherConfig.LOW_LATENCY() if url is not None else None
         self._rec = rr.RecordingStream("hallway", send_properties=False, batcher_config=batching)
-        self._fit = fit
+        self._fit, self._told = fit, told
+        self._now = np.datetime64(0, "ns")
         self._shown_m: NDArray[np.float64] = np.array(((-6.0, -4.0), (6.0, 4.0)))
         if url is not None:
             self._rec.connect_grpc(url, default_blueprint=self._layout())
@@ -82,7 +90,8 @@ class Screen:
 
     def at(self, stamp_ns: int) -> None:
         """Set the time of what is drawn next."""
-        self._rec.set_time(TIMELINE, timestamp=np.datetime64(stamp_ns, "ns"))
+        self._now = np.datetime64(stamp_ns, "ns")
+        self._rec.set_time(TIMELINE, timestamp=self._now)
 
     def grid(self, cells: NDArray[np.int8], resolution_m: float, origin_m: tuple[float, float]) -> None:
         """Draw a map: (rows, cols) of -1 for unknown, 0 free .. 100 occupied; row 0 has the lowest y."""
@@ -146,8 +155,11 @@ class Screen:
         self._rec.log("state/words", rr.TextDocument(markdown, media_type="text/markdown"))
 
     def note(self, level: str, text: str) -> None:
-        """Add a line to the list of what happened."""
-        self._rec.log("log", rr.TextLog(text, level={"ok": "INFO", "warn": "WARN"}.get(level, "ERROR")))
+        """Add an entry to the list of what happened, with its time of day as the plots have it."""
+        # Not in rerun's own column of times: that has no room for more than the century of a date.
+        _, _, time_of_day = str(self._now.astype("datetime64[s]")).partition("T")
+        severity = {"ok": "INFO", "warn": "WARN"}.get(level, "ERROR")
+        self._rec.log("log", rr.TextLog(f"{time_of_day} {text}", level=severity))
 
     def close(self, timeout_s: float) -> None:
         """Send or write what is held; give up after `timeout_s`."""
@@ -212,8 +224,9 @@ class Screen:
             text_log_columns=["loglevel", "body"],
         )
         lanes = ["/state/tracking", "/state/bumper"]
+        words = rrb.TextDocumentView(origin="/state/words", name="State")
         side = rrb.Vertical(
-            rrb.TextDocumentView(origin="/state/words", name="State"),
+            words,
             rrb.StateTimelineView(origin="/state", contents=lanes, name="States"),
             rrb.Tabs(*plots),
             rrb.TextLogView(origin="/log", name="What happened", columns=columns),
@@ -224,7 +237,7 @@ class Screen:
             origin="/world", name=_LEGEND, background=grey, line_grid=False, eye_controls=eye
         )
         return rrb.Blueprint(
-            rrb.Horizontal(side, view, column_shares=[2, 5]),
+            rrb.Horizontal(side if self._told else words, view, column_shares=[2, 5]),
             rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following"),
             rrb.SelectionPanel(state="hidden"),
             rrb.BlueprintPanel(state="hidden"),
