@@ -48,7 +48,7 @@ class MapStep:
     weights: NDArray[np.float64]
     """(P,) sum 1."""
     n_eff: float
-    """How many particles share the weight."""
+    """How many particles share the weight; at a selection, shared it before."""
     resampled: bool
     closed: bool
     """Whether a loop was closed: the whole path has moved."""
@@ -114,9 +114,10 @@ class DpSlam:
                 self.loops.look_on()
             return self._answer(key_t_laser)
         sweep = self._sweeper.take(scan, motion)
-        resampled = False
+        n_eff, resampled = float(self.config.particles), False
         if self.population.keys:
-            resampled = self.population.update(sweep, key_t_laser, self._covariance, self._on_old_ground())
+            known = self._on_old_ground()
+            n_eff, resampled = self.population.update(sweep, key_t_laser, self._covariance, known)
         if not self._is_located():
             self.population.misfits = 0
         if self.population.misfits:
@@ -126,7 +127,7 @@ class DpSlam:
         if self.population.misfits >= MISFITS:
             self._search = Search()
             self._trail.break_off()
-        return self._answer(np.zeros(3), updated=True, resampled=resampled, closed=closed)
+        return self._answer(np.zeros(3), updated=True, n_eff=n_eff, resampled=resampled, closed=closed)
 
     def find_itself(self) -> None:
         """Say that the next scan may be anywhere on the map: at the start of a session on a saved one."""
@@ -238,9 +239,16 @@ class DpSlam:
             slam._sweeper = Sweeper(beams, slam.config.points, slam.config.range_max_m)
         return slam
 
-    def trajectory(self) -> tuple[NDArray[np.int64], Pose]:
-        """Return stamps (N,) and map_t_laser (N, 3) of every scan so far, by the best particle's ancestry."""
-        return self._trail.stamps_ns, self._trail.lay(self.population.path)
+    def trajectory(self, most: int | None = None) -> tuple[NDArray[np.int64], Pose]:
+        """Return stamps (N,) and map_t_laser (N, 3) of every scan so far, by the best particle's ancestry.
+
+        `most`: of so many at most, evenly, the newest among them; it takes as long however many there are.
+        """
+        if most is None:
+            return self._trail.stamps_ns, self._trail.lay(self.population.path)
+        every = max(1, -(-self._trail.scans // most))
+        scans = np.arange(self._trail.scans - 1, -1, -every)[::-1]
+        return self._trail.stamps_of(scans), self._trail.lay(self.population.path, scans)
 
     def odometry(self) -> Pose:
         """Return odom_t_laser (N, 3) of every scan so far, as the motions said."""
@@ -268,6 +276,7 @@ class DpSlam:
         self,
         key_t_laser: Pose,
         updated: bool = False,
+        n_eff: float | None = None,
         resampled: bool = False,
         closed: bool = False,
         lost: bool = False,
@@ -278,7 +287,7 @@ class DpSlam:
             updated=updated,
             particles=people.poses.copy(),
             weights=np.exp(people.log_weights),
-            n_eff=effective_size(people.log_weights),
+            n_eff=effective_size(people.log_weights) if n_eff is None else n_eff,
             resampled=resampled,
             closed=closed,
             lost=lost or self._search is not None,

@@ -63,7 +63,9 @@ class Population:
         """(K, 3) the best particle's poses at the key scans."""
         return self.ancestry.path(self.best)
 
-    def update(self, sweep: Sweep, key_t_laser: Pose, covariance: Matrix, old_ground: bool) -> bool:
+    def update(
+        self, sweep: Sweep, key_t_laser: Pose, covariance: Matrix, old_ground: bool
+    ) -> tuple[float, bool]:
         """Move, refine, weigh and select the particles; nothing is written yet.
 
         Args:
@@ -74,7 +76,7 @@ class Population:
                 motions over again, and by them no particle is more probable than another.
 
         Returns:
-            Whether there was a selection.
+            How many particles shared the weight, and whether there was a selection then.
         """
         random = np.random.Generator(np.random.Philox(key=self.seed, counter=(0, 0, 0, self.keys)))
         normal, uniform = random.standard_normal(self.poses.shape), float(random.random())
@@ -93,15 +95,15 @@ class Population:
             self.best = heaviest
         self._judge(rays)
         self.ancestry.extend(self.poses)
-        chances = self.log_weights
+        chances, sharing = self.log_weights, effective_size(self.log_weights)
         if not old_ground:
             if self.keys % MIX_EVERY:
-                return False
+                return sharing, False
             chances = chances + MIX * random.standard_normal(len(chances))
-        elif effective_size(chances) >= self.config.particles / 2:
-            return False
+        elif sharing >= self.config.particles / 2:
+            return sharing, False
         self._select(systematic_parents(chances, uniform))
-        return True
+        return sharing, True
 
     def arrive(self, map_t_laser: Pose) -> None:
         """Put every particle at a place that was found, each on its own map, and take up its path there."""

@@ -111,9 +111,12 @@ class Returning:
         """See `DpSlam.finish`."""
         self._mapper.finish()
 
-    def trajectory(self) -> tuple[NDArray[np.int64], Pose]:
-        """Return stamps (N,) and map_t_laser (N, 3) of every scan of all drives; of this one if not found."""
-        return self._mapper.trajectory()
+    def trajectory(self, most: int | None = None) -> tuple[NDArray[np.int64], Pose]:
+        """Return stamps (N,) and map_t_laser (N, 3) of every scan of all drives; of this one if not found.
+
+        `most`: see `DpSlam.trajectory`.
+        """
+        return self._mapper.trajectory(most)
 
     def odometry(self) -> Pose:
         """Return odom_t_laser (N, 3) of the scans of `trajectory`; each drive has a frame of its own."""

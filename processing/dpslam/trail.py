@@ -46,28 +46,34 @@ class Trail:
         """(N,) stamps of all scans, in the order in which they came."""
         return self._stamps_ns.rows.copy()
 
+    def stamps_of(self, scans: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the stamps (N,) of some scans by their numbers (N,)."""
+        return np.asarray(self._stamps_ns.rows[scans])
+
     @property
     def odom_t_laser(self) -> Pose:
         """(N, 3) of all scans by the odometry."""
         return self._odom_t_laser.rows.copy()
 
-    def lay(self, map_t_keys: Pose) -> Pose:
-        """Return map_t_laser (N, 3) of all scans.
+    def lay(self, map_t_keys: Pose, scans: NDArray[np.int64] | None = None) -> Pose:
+        """Return map_t_laser (N, 3) of all scans, or of some.
 
         Between two key scans the odometry gives the shape, and what it misses at the second is spread evenly
         over the scans between; after the last key scan the odometry goes on alone.
 
         Args:
             map_t_keys: (K, 3) poses of the key scans.
+            scans: (N,) numbers of those that are wanted; None for all.
         """
         odom = self._odom_t_laser.rows
+        scans = np.arange(self.scans) if scans is None else scans
+        own = odom[scans]
         if self.keys == 0:
-            return odom.copy()
+            return own
         keys = self._keys.rows
-        scans = np.arange(self.scans)
         before = np.maximum(np.searchsorted(keys, scans, side="right") - 1, 0)
         after = np.minimum(before + 1, self.keys - 1)
-        key_t_scan = se2.between(odom[keys[before]], odom)
+        key_t_scan = se2.between(odom[keys[before]], own)
         key_t_next = se2.between(odom[keys[before]], odom[keys[after]])
         missed = se2.between(key_t_next, se2.between(map_t_keys[before], map_t_keys[after]))
         span = np.maximum(keys[after] - keys[before], 1)
@@ -81,7 +87,7 @@ class Trail:
             self._breaks, keys[before], side="right"
         )
         back = lost & (after > before)
-        laid[back] = se2.compose(map_t_keys[after[back]], se2.between(odom[keys[after[back]]], odom[back]))
+        laid[back] = se2.compose(map_t_keys[after[back]], se2.between(odom[keys[after[back]]], own[back]))
         return laid
 
     def state(self) -> dict[str, NDArray[Any]]:

@@ -81,11 +81,9 @@ class MapTeller:
         self._port.publish("map", grid_message(self._tiles.picture))
 
     def _path(self, mapping: DpSlam | Returning, stamp_ns: int) -> None:
-        stamps_ns, path = mapping.trajectory()
-        every = max(1, -(-len(path) // PATH_POSES))
-        # From the end backwards, so that the newest pose stays.
+        stamps_ns, path = mapping.trajectory(PATH_POSES)
         poses = [
-            messages.PoseStamped(header=messages.header(int(stamp), "map"), pose=pose_to_message(pose))
-            for stamp, pose in zip(stamps_ns[::-every][::-1], path[::-every][::-1], strict=True)
+            messages.PoseStamped(header=messages.header(stamp, "map"), pose=pose_to_message(pose))
+            for stamp, pose in zip(stamps_ns.tolist(), path, strict=True)
         ]
         self._port.publish("trajectory", messages.Path(header=messages.header(stamp_ns, "map"), poses=poses))

@@ -5,6 +5,7 @@ import numpy as np
 from drivers.world import Urg04lx, room
 from processing.dpslam.config import DpSlamConfig
 from processing.dpslam.population import Population
+from processing.dpslam.resampling import effective_size, normalise
 from processing.dpslam.sweep import Sweeper
 from processing.motion import Motion
 from processing.scan import Scan
@@ -42,6 +43,15 @@ def test_on_old_ground_those_that_fit_their_map_do():
     particles, sweep = population_and_sweep()
     particles.update(sweep, np.zeros(3), COVARIANCE, True)
     assert np.ptp(particles.log_weights) > 0.01
+
+
+def test_a_selection_says_how_many_shared_the_weight_before_it():
+    particles, sweep = population_and_sweep()
+    particles.log_weights = normalise(-2.0 * np.arange(20.0))
+    sharing, selected = particles.update(sweep, np.zeros(3), COVARIANCE, True)
+    assert selected
+    assert 1.0 <= sharing < 10.0
+    assert effective_size(particles.log_weights) > sharing
 
 
 def test_on_new_ground_they_go_on_sharing_what_lies_behind():

@@ -33,8 +33,9 @@ class Mapping:
     def occupancy(self):
         return OccupancyGrid(self.probability, 0.05, (-0.5, 0.25))
 
-    def trajectory(self):
-        return np.arange(self.poses) + 1, np.zeros((self.poses, 3)) + np.arange(self.poses)[:, None]
+    def trajectory(self, most):
+        scans = np.arange(self.poses - 1, -1, -max(1, -(-self.poses // most)))[::-1]
+        return scans + 1, np.zeros((len(scans), 3)) + scans[:, None]
 
 
 @pytest.fixture

@@ -57,6 +57,17 @@ def test_every_scan_has_a_pose_under_its_own_stamp_in_the_order_of_arrival(run, 
         assert 1.0 <= step.mapping.n_eff <= 10.0 + 1e-9
 
 
+@pytest.mark.parametrize("most", [1, 7, 50, 10_000])
+def test_a_part_of_the_way_is_the_whole_one_with_gaps_and_ends_where_it_ends(run, most):
+    slam, _ = run
+    stamps_ns, path = slam.trajectory()
+    some_ns, part = slam.mapping.trajectory(most)
+    assert 0 < len(part) <= most
+    assert some_ns[-1] == stamps_ns[-1]
+    assert len(np.unique(np.diff(np.searchsorted(stamps_ns, some_ns)))) <= 1
+    np.testing.assert_array_equal(part, path[np.searchsorted(stamps_ns, some_ns)])
+
+
 def test_the_same_scans_and_seed_give_the_same_bits_and_another_seed_others(run, course):
     slam, _ = run
     again, other = Slam(CONFIG, seed=4), Slam(CONFIG, seed=5)
