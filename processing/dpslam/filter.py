@@ -260,6 +260,11 @@ class DpSlam:
         stops, metres = cells[..., 0] / STOPS, cells[..., 1] / METRES
         return occupancy_of(stops, metres, CELL_M, (corner[1] * CELL_M, corner[0] * CELL_M))
 
+    @property
+    def bytes_held(self) -> int:
+        """Memory of all maps, and of the key scans that they can be drawn from: it grows with the area."""
+        return self.population.store.bytes_held + self._scans.bytes_used
+
     def _on_old_ground(self) -> bool:
         return self.loops is None or self.loops.on_settled_map
 

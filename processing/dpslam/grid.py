@@ -129,6 +129,7 @@ class TileStore:
         self.table: Table = np.full((particles, 8, 8), NONE, dtype=np.int32)
         self.extent = Extent(-4, -4, 8, 8)
         self.arrays: Arrays = _empty(tiles)
+        self._touched = 0
 
     @property
     def tiles_used(self) -> int:
@@ -138,8 +139,20 @@ class TileStore:
     @property
     def bytes_used(self) -> int:
         """Memory of the used tiles and of all tables."""
-        each = sum(array.nbytes for array in self.arrays[:4]) // self.arrays[0].shape[0]
-        return int(self.tiles_used * each + self.table.nbytes)
+        return int(self.tiles_used * self._tile_bytes + self.table.nbytes)
+
+    @property
+    def bytes_held(self) -> int:
+        """Memory of all tiles that were in use at one time, and of all tables: what was taken stays taken."""
+        return int(max(self._touched, self.tiles_used) * self._tile_bytes + self.table.nbytes)
+
+    @property
+    def _tile_bytes(self) -> int:
+        return int(sum(array.nbytes for array in self.arrays[:4]) // self.arrays[0].shape[0])
+
+    def note_use(self) -> None:
+        """Take note of how many tiles are in use; called when they are most."""
+        self._touched = max(self._touched, self.tiles_used)
 
     @property
     def maps(self) -> Maps:

@@ -128,6 +128,7 @@ class Population:
         while True:
             done = kernels.write_all(*self.store.maps, rays, self.poses, self.config.memory, done)
             if done == len(self.poses):
+                self.store.note_use()
                 return
             placed = np.empty_like(rays)
             place_rays(self.poses[done], rays, placed)

@@ -127,6 +127,11 @@ class Returning:
         grid = self._mapper.occupancy()
         return self._layer.over(grid, self.population.path) if self.found else grid
 
+    @property
+    def bytes_held(self) -> int:
+        """See `DpSlam.bytes_held`."""
+        return self._mapper.bytes_held
+
     def past(self) -> Past:
         """Return what is to be saved; `finish` first."""
         return past_of(self._mapper, self._drives)

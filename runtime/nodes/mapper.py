@@ -166,6 +166,7 @@ class _Mapper:
         if self._resumed:
             port.count("resumptions")
             port.log.warning("goes on with the map of the process before it, %d scans", self._scans)
+        self._map_mb = 0.0
         self._keys = Rows(port.results_dir, KEYS_FILE, KEYS_COLUMNS)
         self._teller = MapTeller(port, config.map_period_s)
         # What the process before it had published went with it; and a saved map is shown at once.
@@ -186,6 +187,7 @@ class _Mapper:
         self._stamp_ns = scan.stamp_ns
         self._teller.changed |= step.updated
         if step.updated:
+            self._map_mb = round(self._filter.bytes_held / 1e6, 1)
             self._keys.add(scan.stamp_ns, f"{step.n_eff:.1f}", int(step.resampled))
         # Nobody shall drive by a pose on the map while the laser is not known to be there.
         if self._session.still_looking(self._filter, step):
@@ -228,6 +230,7 @@ class _Mapper:
             n_eff=round(step.n_eff, 1),
             scans=self._scans,
             map_size=self._teller.size,
+            map_mb=self._map_mb,
         )
 
     def tell(self) -> None:

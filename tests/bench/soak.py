@@ -12,9 +12,9 @@ is published.
 
 At the end: the p99 of the way in the first and the last tenth since the map has stopped growing (a key scan
 on new ground is a quarter cheaper: there is no old map to weigh the particles by), and for each process the
-slope of its memory over the second half, in MB an hour of the drive. Leaves with 1 if the last p99 is more
-than a tenth above the first, or memory, files or threads grow; what a run is too short to tell is said and
-not judged.
+slope of its memory over the second half, in MB an hour of the drive, without what the maps of all particles
+hold. Leaves with 1 if the last p99 is more than a tenth above the first, or memory, files or threads grow;
+what a run is too short to tell is said and not judged.
 """
 
 import argparse
@@ -53,14 +53,13 @@ REVOLUTION_MS = 100.0
 P99_RATIO = 1.10
 POSES_MIN = 300
 """In a tenth; of fewer the p99 is the worst two or three, which is luck."""
-GROWS_MB_H = {"mapper": 20.0}
-"""It keeps a pose for every scan: 10 to 15 MB an hour (docs/measured-runtime.md)."""
-GROWS_OTHERS_MB_H = 4.0
+GROWS_MB_H = 4.0
+"""Beyond what the maps of all particles take, which the mapper says of itself."""
 GROWS_HANDLES = 2
 DRIVEN_MIN_H = 0.15
 """Of the half that is judged; in less the steps of the allocator are steeper than any growth."""
 AREA_GROWS = 0.01
-"""The mapper is judged by a half in which the map grew no more than that: a map may grow."""
+"""The map is whole when it grows no more than that from one look to the next."""
 NOT_ON_A_ROBOT = ("simulator",)
 SAMPLE_S = 10.0
 SENSORS = ("simulator", "base", "operator", "laser")
@@ -139,7 +138,7 @@ class Watch:
     """Looks on until the time is over.
 
     Attributes:
-        samples: (s, {process: (rss_mb, fds, threads)}, known cells of the map) each.
+        samples: (s, {process: (rss_mb, fds, threads, map_mb)}, known cells of the map) each.
         ways_ms: From the first ray to the pose without the revolution, or from the scan to the pose.
         complete: How many of them there were when the map last grew.
     """
@@ -203,7 +202,7 @@ class Watch:
         load = os.getloadavg()[0]
         way = f"pose p50 {p50:.1f} p99 {p99:.1f} max {worst:.0f} ms"
         print(f"{seconds / 60:6.1f} min  {way}  {len(ways)} poses  {late} scans late  load {load:.1f}")
-        for name, (rss, fds, threads) in sorted(found.items()):
+        for name, (rss, fds, threads, _) in sorted(found.items()):
             values = vitals[name].values if name in vitals else {}
             lost = sum(int(v) for k, v in values.items() if k.endswith((".overwritten", ".missed")))
             print(f"            {name:11} {rss:7.1f} MB  {fds:3} files  {threads:3} threads  {lost:5} lost")
@@ -212,7 +211,8 @@ class Watch:
 
 def processes(up, run_dir, health):
     """Return what the kernel says of every process of the run."""
-    pids = {name: int(vital.number("pid")) for name, vital in health.vitals().items()}
+    vitals = health.vitals()
+    pids = {name: int(vital.number("pid")) for name, vital in vitals.items()}
     pids["supervisor"] = up
     for entry in Path("/proc").glob("[0-9]*"):
         try:
@@ -231,7 +231,9 @@ def processes(up, run_dir, health):
         except OSError:
             continue
         fields = dict(line.split(":", 1) for line in status.splitlines())
-        found[name] = (int(fields["VmRSS"].split()[0]) / 1e3, fds, int(fields["Threads"]))
+        rss_mb, threads = int(fields["VmRSS"].split()[0]) / 1e3, int(fields["Threads"])
+        map_mb = vitals[name].number("map_mb") if name in vitals else 0.0
+        found[name] = (rss_mb, fds, threads, map_mb)
     return found
 
 
@@ -242,18 +244,17 @@ def report(watch, metrics, speed, code, stop_s):
     half = watch.samples[-1][0] / 2
     for name in sorted({name for _, found, _ in watch.samples for name in found}):
         points = [
-            (t * speed / 3600, *found[name], cells)
-            for t, found, cells in watch.samples
-            if t >= half and name in found
+            (t * speed / 3600, *found[name]) for t, found, _ in watch.samples if t >= half and name in found
         ]
         if len(points) < 3:
             continue
-        hours, rss, fds, threads, known = np.array(points).T
-        slopes[name] = round(float(np.polyfit(hours, rss, 1)[0]), 2)
-        word = verdict(name, hours, slopes[name], (fds, threads), known)
+        hours, rss, fds, threads, map_mb = np.array(points).T
+        slopes[name] = round(float(np.polyfit(hours, rss - map_mb, 1)[0]), 2)
+        word = verdict(name, hours, slopes[name], (fds, threads))
         faults += [f"{name} {word}"] if word.startswith("GROWS") else []
         print(
-            f"{name:11} {rss[0]:7.1f} -> {rss[-1]:7.1f} MB  {slopes[name]:+7.2f} MB/h  "
+            f"{name:11} {rss[0]:7.1f} -> {rss[-1]:7.1f} MB  of maps {map_mb[0]:4.0f} -> {map_mb[-1]:4.0f}  "
+            f"rest {slopes[name]:+7.2f} MB/h  "
             f"files {fds[0]:.0f} -> {fds[-1]:.0f}  threads {threads[0]:.0f} -> {threads[-1]:.0f}  {word}"
         )
     first_ms, last_ms, judged = ends(watch.ways_ms[watch.complete :])
@@ -282,7 +283,7 @@ def report(watch, metrics, speed, code, stop_s):
     return int(bool(faults))
 
 
-def verdict(name, hours, slope, handles, known):
+def verdict(name, hours, slope, handles):
     """Return in a word whether a process grows, from what it had over the second half (N,) each."""
     tenth = max(1, len(hours) // 10)
     grew = [float(np.median(one[-tenth:]) - np.median(one[:tenth])) for one in handles]
@@ -292,9 +293,7 @@ def verdict(name, hours, slope, handles, known):
         return "not on a robot"
     if hours[-1] - hours[0] < DRIVEN_MIN_H:
         return "too short to tell"
-    if name == "mapper" and known[-1] > (1 + AREA_GROWS) * known[0]:
-        return "its map grows"
-    return "steady" if slope <= GROWS_MB_H.get(name, GROWS_OTHERS_MB_H) else "GROWS"
+    return "steady" if slope <= GROWS_MB_H else "GROWS"
 
 
 def ends(ways_ms):

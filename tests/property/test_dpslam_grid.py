@@ -119,3 +119,16 @@ def test_memory_used_counts_tiles_and_tables():
     store.share(0)
     assert store.tiles_used == 1
     assert store.bytes_used - empty == 8 * 32 * 32 + 6 * 4 * 64 + 64
+
+
+def test_memory_held_is_that_of_the_most_tiles_that_were_in_use_at_once():
+    store = TileStore(2, tiles=4)
+    for col in (1, 2):
+        own_tile(store.arrays, store.table, 0, 1, col)
+    store.note_use()
+    two = store.bytes_held
+    assert two == store.bytes_used
+    store.clear()
+    assert store.bytes_held == two > store.bytes_used
+    own_tile(store.arrays, store.table, 0, 1, 1)
+    assert store.bytes_held == two
