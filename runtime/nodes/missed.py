@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 HOLE_S = 5.0
 """Longer holes count as so long: the last velocity tells nothing more."""
 BESIDE = 20
-"""So many stamps on both sides tell a hole from scans that were only written down late, a burst of them at once."""
+"""So many stamps on both sides tell a hole from scans that were only written down late, in a burst."""
 
 
 class Missed:
