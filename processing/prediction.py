@@ -7,6 +7,7 @@ jitter by half a period, and a velocity divided by such a time throws the track 
 
 from collections import deque
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ TURNING_S = 0.5
 STEADY_M_S = 0.15
 """What the filter's velocity may be off a steady one, if it does not know itself to be worse; farther, and
 the laser has changed its speed."""
+USUAL_S = 2.0
+"""A velocity that was steady for so long is the one that the laser takes up again when it speeds up."""
 LEAST_INFORMATION = 1e-6
 """Keeps what is not seen at all finite, 1/m^2 and 1/rad^2."""
 
@@ -122,6 +125,8 @@ class Cruise:
         self._turning = max(1, round(TURNING_S / period_s))
         self._seen: deque[Twist] = deque(maxlen=self._counts[0])
         self._held: NDArray[np.float64] | None = None
+        self._usual: NDArray[np.float64] | None = None
+        self._long = max(2, round(USUAL_S / period_s))
         self.steady_s = 0.0
         """For how long the velocity last returned had been steady; 0 if it was not."""
 
@@ -129,6 +134,9 @@ class Cruise:
         """Take in a motion (3,) of which every direction was seen."""
         self._seen.append(logarithm(motion) / duration_s)
         self._held = None
+        newest = np.array(list(islice(reversed(self._seen), self._long)))
+        if len(newest) == self._long and _is_straight(newest) and _is_even(newest[:, :2]):
+            self._usual = newest[:, :2].mean(axis=0)
 
     def velocity(self, twist: Twist, doubt_m_s: float) -> NDArray[np.float64]:
         """Return the velocity (2,), laser frame, to go on with until everything is seen again.
@@ -147,9 +155,28 @@ class Cruise:
             windows = (straight[-count:] for count in self._counts)
             means = ((window.mean(axis=0), len(window)) for window in windows if _is_even(window))
             steady = ((mean, count) for mean, count in means if np.hypot(*(mean - twist[:2])) < off_m_s)
-            self._held, count = next(steady, (twist[:2].copy(), 0))
+            self._held, count = next(steady, (self._aim(twist), 0))
             self.steady_s = count * self._period_s
         return self._held
+
+    def _aim(self, twist: Twist) -> NDArray[np.float64]:
+        """Return the velocity (2,) of a laser that has no steady one: the usual one, if it speeds up to it.
+
+        Who comes out of a turn into a corridor where nothing is seen drives on as before the turn, and not as
+        slowly as at its end.
+
+        Args:
+            twist: (3,) the present one.
+        """
+        usual = self._usual
+        if usual is None or np.linalg.norm(usual) < EVEN_M_S:
+            return twist[:2].copy()
+        ahead = usual / np.linalg.norm(usual)
+        speeds = np.array(list(islice(reversed(self._seen), 2 * self._turning)))[::-1, :2] @ ahead
+        half = len(speeds) // 2
+        rises = half > 0 and speeds[half:].mean() > speeds[:half].mean() + EVEN_M_S
+        below = EVEN_M_S < float(twist[:2] @ ahead) < float(usual @ ahead)
+        return usual.copy() if rises and below else twist[:2].copy()
 
     def _straight(self, twists: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the velocities (M, 2) since the last turn, of the shortest time at least."""
@@ -162,7 +189,12 @@ class Cruise:
     def forget(self) -> None:
         """Begin anew: what was is no more."""
         self._seen.clear()
-        self._held = None
+        self._held = self._usual = None
+
+
+def _is_straight(twists: NDArray[np.float64]) -> bool:
+    """Whether twists (M, 3), M >= 1, do not turn."""
+    return abs(float(twists[:, 2].mean())) < TURNING_RAD_S
 
 
 def _is_even(velocities: NDArray[np.float64]) -> bool:

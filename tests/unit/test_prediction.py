@@ -273,6 +273,29 @@ def test_who_comes_out_of_a_turn_goes_on_as_straight_on_and_not_as_in_the_turn()
     assert cruise.steady_s <= 0.5
 
 
+@pytest.mark.parametrize(
+    ("out_of_the_turn", "goes_on_with"),
+    [
+        ((0.1, 0.2, 0.3, 0.4), 0.8),  # speeds up: to what it had
+        ((0.4, 0.3, 0.2, 0.1), 0.2),  # slows down
+        ((0.4, 0.4, 0.4, 0.4), 0.4),  # is slow and stays it
+        ((0.7, 0.9, 1.1, 1.3), 0.9),  # is faster than it was
+        ((-0.1, -0.2, -0.3, -0.4), -0.2),  # backs off
+    ],
+)
+def test_who_speeds_up_again_after_a_turn_goes_on_as_fast_as_before_it(out_of_the_turn, goes_on_with):
+    cruise = Cruise(0.2)
+    for speed, turn_rate in ((0.8, 0.0),) * 20 + ((0.1, 1.0),) * 10:
+        cruise.see(exponential(0.2 * np.array((speed, 0.0, turn_rate))), 0.2)
+    for speed in out_of_the_turn:
+        cruise.see(exponential(0.2 * np.array((speed, 0.0, 0.5))), 0.2)
+    # The middle one of the last five, which is what the laser is sure of.
+    present = np.array((np.median((0.1, *out_of_the_turn)), 0.0, 0.5))
+    assert cruise.velocity(present, 0.01)[0] == pytest.approx(goes_on_with, abs=0.05)
+    # Nobody has seen that it goes so fast.
+    assert cruise.steady_s <= 0.5
+
+
 def test_a_velocity_that_grows_is_that_of_the_last_moments():
     cruise = Cruise(0.1)
     for speed in np.linspace(0.0, 0.4, 80):
