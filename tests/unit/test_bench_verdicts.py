@@ -31,13 +31,13 @@ def fixture_chaos():
 ON_NEW_GROUND = (20.0,) * 6000 + (40.0,) * 30_000
 
 
-def soaked(mb_per_h, files=30, known=1000, ways_ms=(10.0,) * 36_000, complete=0):
-    """An hour: what the mapper takes, its files and map at the end, each way, and when the map was whole."""
+def soaked(mb_per_h, maps_mb_per_h=0.0, files=30, ways_ms=(10.0,) * 36_000, complete=0):
+    """An hour: what the mapper and its maps take, its files at the end, each way, when the map was whole."""
     samples = [
         (
             t,
-            {"mapper": (300 + mb_per_h * t / 3600, 30 if t < 3500 else files, 8)},
-            1000 if t < 3500 else known,
+            {"mapper": (300 + mb_per_h * t / 3600, 30 if t < 3500 else files, 8, maps_mb_per_h * t / 3600)},
+            1000,
         )
         for t in range(0, 3600, 10)
     ]
@@ -47,10 +47,10 @@ def soaked(mb_per_h, files=30, known=1000, ways_ms=(10.0,) * 36_000, complete=0)
 @pytest.mark.parametrize(
     ("hour", "speed", "fault"),
     [
-        ({"mb_per_h": 15.0}, 1.0, None),
+        ({"mb_per_h": 3.0}, 1.0, None),
         ({"mb_per_h": 25.0}, 1.0, "mapper GROWS"),
         ({"mb_per_h": 25.0}, 8.0, None),  # eight hours of the drive
-        ({"mb_per_h": 25.0, "known": 2000}, 1.0, None),
+        ({"mb_per_h": 25.0, "maps_mb_per_h": 24.0}, 1.0, None),
         ({"mb_per_h": 0.0, "files": 40}, 1.0, "mapper GROWS in files or threads"),
         ({"mb_per_h": 0.0, "ways_ms": np.linspace(40, 50, 36_000)}, 1.0, "p99 1.22 times"),
         ({"mb_per_h": 0.0, "ways_ms": np.linspace(40, 43, 36_000)}, 1.0, None),
