@@ -242,7 +242,7 @@ class DpSlam:
     def trajectory(self, most: int | None = None) -> tuple[NDArray[np.int64], Pose]:
         """Return stamps (N,) and map_t_laser (N, 3) of every scan so far, by the best particle's ancestry.
 
-        `most`: of so many at most, evenly, the newest among them; it takes as long however many there are.
+        `most`: of so many at most, evenly, the newest among them; those left out cost nothing.
         """
         if most is None:
             return self._trail.stamps_ns, self._trail.lay(self.population.path)
