@@ -106,6 +106,10 @@ def test_a_mapper_goes_on_with_its_map(drive_scans, tmp_path):
     assert second.counters["resumptions"] == 1
     for (_, motion), pose in zip(both[30:], poses, strict=True):
         assert pose[:2] == pytest.approx(motion.odom_t_laser[:2], abs=0.05)
+    # What the maps hold is said with every pose: the soak takes it off what the process holds.
+    held_mb = [values["map_mb"] for _, text, values in first.reports if text == "mapping"]
+    assert len(held_mb) == len(first.said("pose"))
+    assert held_mb[-1] > 0.0
     # What only the first one saw is still in the map of the second.
     trajectory = second.said("trajectory")[-1]
     assert messages.stamp_ns_of(trajectory.poses[0].header.stamp) == motions[0].stamp_ns
