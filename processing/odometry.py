@@ -226,9 +226,10 @@ class LaserOdometry:
             information = weakened(information, prior, pose)
         self._filter.correct(pose, information)
         unseen = _in_laser(seen.unseen, pose[2])
-        self._filter.bound(unseen)
         if len(unseen):
-            self._filter.steer(unseen, self._steady())
+            velocity = self._steady()
+            self._filter.bound(unseen, self._cruise.steady_s > 0.0)
+            self._filter.steer(unseen, velocity)
         # The first motion that is seen again takes back what was wrong before: it is no velocity.
         firm = was_firm and self._footing.firm
         if firm and old_pose is not None and not self._watch.doubtful:

@@ -30,6 +30,9 @@ STEADY_M_S = 0.15
 the laser has changed its speed."""
 USUAL_S = 2.0
 """A velocity that was steady for so long is the one that the laser takes up again when it speeds up."""
+STANDING_M_S = 0.05
+"""Who is slower stands, as far as matches tell. One that has not stood for USUAL_S yet, as after a turn on
+the spot, may set out at any moment: that it stands is no velocity to go on with."""
 LEAST_INFORMATION = 1e-6
 """Keeps what is not seen at all finite, 1/m^2 and 1/rad^2."""
 
@@ -156,7 +159,8 @@ class Cruise:
             means = ((window.mean(axis=0), len(window)) for window in windows if _is_even(window))
             steady = ((mean, count) for mean, count in means if np.hypot(*(mean - twist[:2])) < off_m_s)
             self._held, count = next(steady, (self._aim(twist), 0))
-            self.steady_s = count * self._period_s
+            sets_out = np.hypot(*self._held) < STANDING_M_S and count < self._long
+            self.steady_s = 0.0 if sets_out else count * self._period_s
         return self._held
 
     def _aim(self, twist: Twist) -> NDArray[np.float64]:
@@ -270,10 +274,12 @@ class ConstantVelocity:
         self.covariance = self.covariance - np.outer(gain, self.covariance[5])
         return self.prior()
 
-    def bound(self, unseen: NDArray[np.float64]) -> None:
+    def bound(self, unseen: NDArray[np.float64], steady: bool) -> None:
         """Hold the doubt of the velocity along unseen directions (K, 2), laser frame, to that of a start.
 
-        A random walk that nobody corrects would soon allow any speed.
+        A random walk that nobody corrects would soon allow any speed. Of a laser whose velocity was steady
+        the place is held as well, to where such a doubt leads in a scan or two: more, and whoever walks by
+        draws it along. One that was not steady may be far off by now, until something in sight tells.
         """
         for direction in unseen:
             deviation = float(np.sqrt(direction @ self.covariance[3:5, 3:5] @ direction))
@@ -281,7 +287,8 @@ class ConstantVelocity:
                 shrink = np.eye(6)
                 along = np.outer(direction, direction) * (1.0 - self._config.speed_m_s / deviation)
                 shrink[3:5, 3:5] -= along
-                shrink[:2, :2] -= along
+                if steady:
+                    shrink[:2, :2] -= along
                 self.covariance = shrink @ self.covariance @ shrink.T
 
     def steer(self, unseen: NDArray[np.float64], velocity: NDArray[np.float64]) -> None:
