@@ -242,7 +242,7 @@ def commands(
 
 def child_environment(clock: Clock) -> dict[str, str]:
     """Return the environment of every process of a run."""
-    environment = {**os.environ, **realtime.THREAD_LIMITS}
+    environment = {**os.environ, **realtime.THREAD_LIMITS, **realtime.MEMORY_LIMITS}
     environment[OFFSET_VARIABLE] = str(clock.offset_ns)
     environment[realtime.PARENT_VARIABLE] = str(os.getpid())
     package = Path(__file__).resolve().parents[2]
