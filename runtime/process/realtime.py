@@ -30,7 +30,7 @@ THREAD_LIMITS = {
 """Environment of every process: a robot's cores are shared by processes, not by hidden thread pools."""
 
 
-MEMORY_LIMITS = {"MALLOC_MMAP_THRESHOLD_": str(1 << 20), "MALLOC_TRIM_THRESHOLD_": str(1 << 20)}
+MEMORY_LIMITS = {"MALLOC_MMAP_THRESHOLD_": str(1 << 20), "MALLOC_TRIM_THRESHOLD_": str(1 << 23)}
 """Environment, too: what is large goes back to the system when it is let go of. Left alone, glibc learns from
 the first large arrays to keep the next ones in its heap, where what is small and stays behind them holds the
 room: a mapper had 25 MB of nothing after an hour, in steps."""
