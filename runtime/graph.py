@@ -52,6 +52,8 @@ class NodeSpec:
     """Time to become ready."""
     stop_s: float = 1.8
     """Time to end when asked; a node that has much to save may have more."""
+    turn_s: float = 30.0
+    """Time for one turn of its loop; after that it hangs, and is started again."""
     host: str = ""
     """The machine that it runs on, one of `hosts`; the robot's own if empty."""
 
@@ -66,6 +68,8 @@ class NodeSpec:
             raise ValueError(f"start_s = {self.start_s}, must be in (0, 600]")
         if not 0 < self.stop_s <= 600:
             raise ValueError(f"stop_s = {self.stop_s}, must be in (0, 600]")
+        if not 0 < self.turn_s <= 600:
+            raise ValueError(f"turn_s = {self.turn_s}, must be in (0, 600]")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

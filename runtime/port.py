@@ -77,7 +77,11 @@ class Port(Protocol):
 
     @property
     def stopping(self) -> bool:
-        """Whether the node shall save what it has and return; turns true within 0.1 s of a signal."""
+        """Whether the node shall save what it has and return; turns true within 0.1 s of a signal.
+
+        Asking, here or by `Subscription.wait`, shows that the loop turns: a node that does not for half a
+        minute (`turn_s` of the graph) hangs, and is started again.
+        """
 
     def subscribe(self, topic: str, *, keep: int | None = None, raw: bool = False) -> Subscription:
         """Listen from now on.

@@ -262,8 +262,9 @@ class DpSlam:
 
     @property
     def bytes_held(self) -> int:
-        """Memory of all maps, and of the key scans that they can be drawn from: it grows with the area."""
-        return self.population.store.bytes_held + self._scans.bytes_used
+        """Memory of all maps, and of the key scans that they are drawn from: it grows with the area."""
+        points = 0 if self.loops is None else self.loops.bytes_used
+        return self.population.store.bytes_held + self._scans.bytes_used + points
 
     def _on_old_ground(self) -> bool:
         return self.loops is None or self.loops.on_settled_map

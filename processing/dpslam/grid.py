@@ -214,8 +214,11 @@ class TileStore:
             return
         size = owners.shape[0]
         grown = _empty(size + max(lacking, size // 2))
+        # What lies behind the last tile in use is of no worth, and would only become memory in use here.
+        last = int(np.flatnonzero(owners).max(initial=-1)) + 1
         for number in range(5):
-            grown[number][:size] = self.arrays[number]
+            grown[number][:last] = self.arrays[number][:last]
+        self._touched = last
         free = grown[5]
         fresh = grown[4].shape[0] - size
         # Old numbers on top: a tile that was used already is taken again before untouched memory is.

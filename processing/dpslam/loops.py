@@ -60,6 +60,7 @@ class Loops:
         self.config = config
         self.path: Pose = np.zeros((0, 3))
         self.points: list[Points] = []
+        self._points_kept = 0
         self.places = Places()
         self._motions, self._way_m = Growing((3,)), Growing()
         self._drift = Drift()
@@ -88,6 +89,7 @@ class Loops:
         self._follow(path)
         first = not self.points
         self.points.append(np.ascontiguousarray(points, dtype=np.float64))
+        self._points_kept += len(points)
         self._motions.append(motion)
         step_m = 0.0 if first else float(np.hypot(motion[0], motion[1]))
         self._way_m.append(step_m + (0.0 if first else self.way_m[-1]))
@@ -123,6 +125,11 @@ class Loops:
         return self._way_m.rows
 
     @property
+    def bytes_used(self) -> int:
+        """Memory of the points kept."""
+        return self._points_kept * 16
+
+    @property
     def on_settled_map(self) -> bool:
         """Whether the newest key scans lie where the laser was before, and not only a moment ago."""
         return self.linked and self._settled > 0
@@ -134,6 +141,7 @@ class Loops:
     def forget(self, key: int) -> None:
         """Let go of the points of a settled key scan that newer ones of its place stand for."""
         if key < self._settled:
+            self._points_kept -= len(self.points[key])
             self.points[key] = NO_POINTS
 
     def state(self) -> dict[str, NDArray[Any]]:
@@ -162,6 +170,7 @@ class Loops:
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
         """Become the loops whose `state` was taken."""
         self.path = state["path"].copy()
+        self._points_kept = len(state["points"])
         ends = np.cumsum(state["counts"])[:-1]
         self.points = [part.copy() for part in np.split(state["points"], ends)] if len(self.path) else []
         self._motions.replace(state["motions"])

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.dpslam.sweep import NOTHING_SEEN, Sweep, cast_rays
+from processing.growing import Growing
 from processing.scan import Beams
 from processing.se2 import Pose
 
@@ -29,7 +30,8 @@ class KeyScans:
     def __init__(self) -> None:
         self._ranges_m: list[NDArray[np.float32]] = []
         self._numbers: list[NDArray[np.uint16]] = []
-        self._twists: list[NDArray[np.float64]] = []
+        self._twists = Growing((3,))
+        self._rays = 0  # of all that are kept
         self._places: dict[tuple[int, int, int], list[int]] = {}
 
     def __len__(self) -> int:
@@ -38,7 +40,7 @@ class KeyScans:
     @property
     def bytes_used(self) -> int:
         """Memory of the ranges kept."""
-        return sum(len(numbers) for numbers in self._numbers) * 6
+        return self._rays * 6
 
     def add(self, sweep: Sweep, map_t_laser: Pose) -> int | None:
         """Append one key scan; return the number of the older one that it replaces, if any."""
@@ -50,9 +52,11 @@ class KeyScans:
         self._ranges_m.append(sweep.ranges_m)
         self._numbers.append(sweep.numbers)
         self._twists.append(sweep.twist)
+        self._rays += len(sweep.numbers)
         if len(kept) <= MOST_SCANS:
             return None
         old = kept.pop(0)
+        self._rays -= len(self._numbers[old])
         self._ranges_m[old], self._numbers[old] = NOTHING_SEEN.ranges_m, NOTHING_SEEN.numbers
         return old
 
@@ -61,7 +65,7 @@ class KeyScans:
         for first in range(0, len(self), CHUNK):
             part = slice(first, first + CHUNK)
             lengths = [len(numbers) for numbers in self._numbers[part]]
-            twists = np.repeat(np.array(self._twists[part]), lengths, axis=0)
+            twists = np.repeat(self._twists.rows[part], lengths, axis=0)
             ranges_m, numbers = np.concatenate(self._ranges_m[part]), np.concatenate(self._numbers[part])
             ends = np.concatenate(((0,), np.cumsum(lengths, dtype=np.int64)))
             yield cast_rays(beams, ranges_m, numbers, twists), ends
@@ -73,7 +77,7 @@ class KeyScans:
             "ranges_m": np.concatenate((NOTHING_SEEN.ranges_m, *self._ranges_m)),
             "numbers": np.concatenate((NOTHING_SEEN.numbers, *self._numbers)),
             "counts": np.array([len(numbers) for numbers in self._numbers], dtype=np.int64),
-            "twists": np.array(self._twists).reshape(-1, 3),
+            "twists": self._twists.rows.copy(),
             "places": np.array(places, dtype=np.int64).reshape(-1, 4),
         }
 
@@ -82,7 +86,8 @@ class KeyScans:
         ends = np.cumsum(state["counts"])
         self._ranges_m = [part.copy() for part in np.split(state["ranges_m"], ends)[:-1]]
         self._numbers = [part.copy() for part in np.split(state["numbers"], ends)[:-1]]
-        self._twists = list(state["twists"].copy())
+        self._twists.replace(state["twists"])
+        self._rays = len(state["numbers"])
         self._places = {}
         for x, y, heading, key in state["places"].tolist():
             self._places.setdefault((x, y, heading), []).append(key)

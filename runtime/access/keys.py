@@ -5,6 +5,7 @@ list decides: a guest who is struck off it may still knock, and sees and moves n
 files that only their owner may read; they are in no log, no recording, no command line.
 """
 
+import contextlib
 import ipaddress
 import json
 import os
@@ -23,6 +24,9 @@ Role = Literal["viewer", "operator", "machine"]
 ROLES: tuple[Role, ...] = get_args(Role)
 """Each may what those before it may: look; drive; run processes of the robot's graph."""
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,40}\Z")
+_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?\Z")
+_LONGEST_NAME = 253
+"""Of DNS, and the parts of one between its dots."""
 _VARIABLE = "HALLWAY_KEYS"
 
 
@@ -122,18 +126,23 @@ def make(robot: str, hosts: Sequence[str] = ()) -> Authority:
         hosts: Names and addresses under which guests reach it, besides those it has now.
 
     Raises:
-        ConfigError: It has keys already; making others would lock all guests out.
+        ConfigError: It has keys already, and making others would lock all guests out; a host is neither name
+            nor address.
     """
+    for host in hosts:
+        if not _is_host(host):
+            raise ConfigError(f"host = {host!r}, must be a DNS name or an IP address, without a port")
     made = Authority(base_dir() / robot)
     if made.key.exists():
         raise ConfigError(f"{made.folder}: holds keys already; remove the folder to lock all guests out")
     x509 = Certificates()
-    made.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     ca_key = x509.new_key()
     ca = x509.certificate(f"hallway {robot}", ca_key, None, None, authority=True)
-    names = [*hosts, *own_addresses(), socket.gethostname(), f"{socket.gethostname()}.local", "localhost"]
+    own = (socket.gethostname(), f"{socket.gethostname()}.local", "localhost")
+    names = [*hosts, *own_addresses(), *filter(_is_host, own)]
     key = x509.new_key()
     certificate = x509.certificate(f"hub {robot}", key, ca, ca_key, names=tuple(dict.fromkeys(names)))
+    made.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     _write(made.folder / "ca.key", x509.key_pem(ca_key), private=True)
     _write(made.ca, x509.certificate_pem(ca))
     _write(made.key, x509.key_pem(key), private=True)
@@ -146,6 +155,8 @@ def invite(robot: str, guest: str, role: Role, address: str) -> Invitation:
     """Put a guest on the list and return what it needs; raises ConfigError."""
     if not _NAME.match(guest):
         raise ConfigError(f"guest = {guest!r}, must be lower-case letters, digits, '-' and '_'")
+    if not (_is_host(address) or _is_host(address.rpartition(":")[0].strip("[]"))):
+        raise ConfigError(f"address = {address!r}, must be HOST or HOST:PORT, a DNS name or an IP address")
     host = authority(robot)
     if guest in (roster := host.roster()):
         raise ConfigError(f"guest {guest!r} is on the list already, as {roster[guest]}; revoke it first")
@@ -211,15 +222,30 @@ def own_addresses() -> list[str]:
 
 
 def write_private(path: Path, data: bytes) -> None:
-    """Write a file in one step that only its owner may read."""
+    """Write a file in one step that only its owner may read; raises ConfigError."""
     _write(path, data, private=True)
 
 
 def _write(path: Path, data: bytes, *, private: bool = False) -> None:
     fresh = path.with_name(f".{path.name}.{os.getpid()}")
-    descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600 if private else 0o644)
-    with os.fdopen(descriptor, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    fresh.replace(path)
+    try:
+        descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600 if private else 0o644)
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        fresh.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            fresh.unlink()  # it may hold half a key
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _is_host(text: str) -> bool:
+    """Whether a guest can reach somebody under it: an IP address, or a DNS name."""
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        labels = text.split(".")
+        return len(text) <= _LONGEST_NAME and all(map(_LABEL.match, labels)) and not labels[-1].isdigit()
+    return True

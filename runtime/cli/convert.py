@@ -121,7 +121,7 @@ def _from_trajectory(source: Path, partial: Path, kind: str) -> dict[str, Any]:
         write_tum(partial, trajectory.stamps_ns, trajectory.poses)
     else:
         raise ConfigError(f"{source}: a trajectory has no scans; its targets are X.mcap, X.tum or a folder")
-    return {"messages": len(trajectory), "what": "poses", "not_held": [], "losses": []}
+    return {"messages": len(trajectory), "what": "poses", "not_held": [], "losses": list(trajectory.losses)}
 
 
 def _to_trajectory(source: Path, partial: Path, topic: str | None) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import argparse
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,11 +43,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the errors; 0 when every truth was compared, 4 when poses were missing for some."""
+    """Print the errors; 0 when every truth was compared, 4 when poses lack for some, or a file is cut."""
     import numpy as np
 
     from processing.se2 import compose, invert
-    from runtime.formats.tum import Trajectory, read_tum
+    from runtime.formats.tum import read_tum
 
     if not 0 < args.stretch < math.inf:
         raise ConfigError(f"--stretch = {args.stretch}, must be positive and finite")
@@ -55,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     trajectory = read_tum(_tum_file(args.trajectory))
     if args.laser_in_base:
         mounted = compose(trajectory.poses, invert(np.array(args.laser_in_base)))
-        trajectory = Trajectory(trajectory.stamps_ns, mounted)
+        trajectory = replace(trajectory, poses=mounted)
     report = _relations(args, trajectory) if args.relations else _reference(args, trajectory)
     if args.json:
         print_json(report)
@@ -65,6 +66,8 @@ def run(args: argparse.Namespace) -> int:
         print(
             f"hallway evaluate: no RPE: the way is shorter than --stretch {args.stretch:g} m", file=sys.stderr
         )
+    for one in report["losses"]:
+        print(f"hallway evaluate: {one}", file=sys.stderr)
     if report["compared"] < report["truths"]:
         missing = report["truths"] - report["compared"]
         print(
@@ -73,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
             file=sys.stderr,
         )
         return int(DataLostError.exit_code)
-    return 0
+    return int(DataLostError.exit_code) if report["losses"] else 0
 
 
 def _tum_file(path: Path) -> Path:
@@ -95,7 +98,7 @@ def _relations(args: argparse.Namespace, trajectory: "Trajectory") -> dict[str, 
         )
     poses = trajectory.poses
     errors = relation_errors(poses[a[both]], poses[b[both]], relations.a_t_b[both])
-    return _report(args, "relations", len(relations), {"relation": errors})
+    return _report(args, "relations", len(relations), {"relation": errors}, trajectory.losses)
 
 
 def _reference(args: argparse.Namespace, trajectory: "Trajectory") -> dict[str, Any]:
@@ -114,11 +117,15 @@ def _reference(args: argparse.Namespace, trajectory: "Trajectory") -> dict[str, 
     errors = {"ate": absolute_errors(truth, estimate)}
     if len(stretches):
         errors["rpe"] = stretches
-    return _report(args, "reference", len(reference), errors)
+    return _report(args, "reference", len(reference), errors, trajectory.losses + reference.losses)
 
 
 def _report(
-    args: argparse.Namespace, kind: str, truths: int, errors: "dict[str, PoseErrors]"
+    args: argparse.Namespace,
+    kind: str,
+    truths: int,
+    errors: "dict[str, PoseErrors]",
+    losses: tuple[str, ...],
 ) -> dict[str, Any]:
     from dataclasses import asdict
 
@@ -134,6 +141,7 @@ def _report(
             "translation_m": asdict(summarise(of.translation_m)),
             "rotation_deg": asdict(summarise(of.rotation_deg)),
         }
+    report["losses"] = list(losses)
     return report
 
 

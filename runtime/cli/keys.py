@@ -42,7 +42,6 @@ def run(args: argparse.Namespace) -> int:
     from runtime.access import gate, keys
     from runtime.errors import ConfigError
     from runtime.graph import check_robot
-    from runtime.reports.results import check_writable
 
     check_robot(args.robot, "--robot")
     if args.action == "make":
@@ -55,12 +54,13 @@ def run(args: argparse.Namespace) -> int:
         if address is None:
             raise ConfigError("this machine has no address that others reach; give one with --address")
         out = args.out or Path(f"{args.guest}.invitation")
-        if out.exists():
-            raise ConfigError(f"{out}: exists already")
-        check_writable(out)  # before anybody is on the list
-        out.parent.mkdir(parents=True, exist_ok=True)
+        _make_room(out)  # before anybody is on the list
         invitation = keys.invite(args.robot, args.guest, args.role, address)
-        keys.write_private(out, invitation.to_bytes())
+        try:
+            keys.write_private(out, invitation.to_bytes())
+        except ConfigError:
+            keys.revoke(args.robot, args.guest)
+            raise
         print(f"{out}: lets {args.guest} in as {args.role}, at {invitation.address}; it is secret")
         print(f"on the laptop: hallway keys pair {out.name}")
     elif args.action == "revoke":
@@ -72,8 +72,7 @@ def run(args: argparse.Namespace) -> int:
     elif args.action == "ros":
         invitation = keys.Invitation.read(args.file)
         out = args.out or Path(f"{invitation.guest}.json5")
-        if out.exists():
-            raise ConfigError(f"{out}: exists already")
+        _make_room(out)
         text = json.dumps(gate.ros_router(invitation), indent=2) + "\n"
         keys.write_private(out, text.encode())
         print(f"{out}: leads to robot {invitation.robot!r} as {invitation.role}; it is secret")
@@ -82,3 +81,14 @@ def run(args: argparse.Namespace) -> int:
         invitation = keys.pair(args.file)
         print(f"robot {invitation.robot!r} at {invitation.address}: paired, as {invitation.role}")
     return 0
+
+
+def _make_room(out: Path) -> None:
+    """Make the folder of a file that is to be; raises ConfigError where there is one, or none can be."""
+    from runtime.errors import ConfigError
+    from runtime.reports.results import check_writable
+
+    if out.exists():
+        raise ConfigError(f"{out}: exists already")
+    check_writable(out)
+    out.parent.mkdir(parents=True, exist_ok=True)

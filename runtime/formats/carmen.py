@@ -9,7 +9,7 @@ from pathlib import Path
 
 from runtime.formats.errors import FormatError
 from runtime.formats.laser_log import LaserLog
-from runtime.formats.text import SICK_S_PER_RAD, ScanTable, lines_of, numbers, stamp_ns, whole_number
+from runtime.formats.text import SICK_S_PER_RAD, Lines, ScanTable, numbers, stamp_ns, whole_number
 
 MESSAGES = ("FLASER", "ROBOTLASER1")
 _WORDS = (
@@ -35,13 +35,15 @@ def time_increment_s(count: int, step_rad: float) -> float:
     return SICK_S_PER_RAD * step_rad if half_circle else 0.0
 
 
-def read_carmen(path: Path) -> LaserLog:
-    """Read a whole log; of two kinds of laser messages the more frequent one is taken."""
+def read_carmen(path: Path, text_lines: Lines) -> LaserLog:
+    """Read the lines of a log; of two kinds of laser messages the more frequent one is taken."""
     lines: dict[str, list[tuple[int, list[str]]]] = {name: [] for name in MESSAGES}
-    for number, text in lines_of(path):
+    for number, text in text_lines:
         name, _, rest = text.partition(" ")
         if name in lines:
             lines[name].append((number, rest.split()))
+        elif not rest and any(message.startswith(name) for message in MESSAGES):
+            raise FormatError(path, f"{name!r} alone: the line is cut or foreign", number)
     if not any(lines.values()):
         raise FormatError(path, "0 scans found, a CARMEN log must hold FLASER or ROBOTLASER1 lines")
     # On a tie ROBOTLASER1 wins: both then hold the same scans, and it knows its geometry.

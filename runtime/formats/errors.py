@@ -17,5 +17,6 @@ class FormatError(HallwayError, ValueError):
     exit_code = 2
 
     def __init__(self, path: Path, rule: str, line: int | None = None) -> None:
+        self.line = line
         place = str(path) if line is None else f"{path}:{line}"
         super().__init__(f"{place}: {rule}")

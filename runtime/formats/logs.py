@@ -1,9 +1,12 @@
 """Open a laser log of any kind; the content decides which kind it is, not the name of the file."""
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from runtime.formats import carmen, tinyslam, wean
 from runtime.formats.bags import read_bag
+from runtime.formats.cut import up_to_the_cut
 from runtime.formats.errors import FormatError
 from runtime.formats.laser_log import LaserLog
 from runtime.formats.text import lines_of
@@ -13,7 +16,7 @@ _BAG_MAGICS = (b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
 
 
 def open_log(path: Path, topic: str | None = None) -> LaserLog:
-    """Open a laser log and check all of it.
+    """Open a laser log and check all of it; a text whose last line is cut off is read up to there.
 
     Args:
         path: A file, or the folder of a ROS 2 bag.
@@ -48,5 +51,6 @@ def _open_text(path: Path) -> LaserLog:
         (tinyslam.looks_like, tinyslam.read_tinyslam),
     ):
         if looks_like(line):
-            return read(path)
+            log, losses = up_to_the_cut(path, partial(read, path))
+            return replace(log, losses=losses)
     raise FormatError(path, f"not a laser log: it begins with {line[:40]!r}; known: {KNOWN}", 1)

@@ -5,10 +5,10 @@ import gzip
 import io
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ from runtime.formats.laser_log import (
 MAX_LINE_BYTES = 1 << 20
 _MAX_STAMP_NS = 2**62
 
+Lines: TypeAlias = Iterable[tuple[int, str]]
+"""Number, from 1, and text of each line that is not blank."""
+
 
 def open_bytes(path: Path) -> IO[bytes]:
     """Open a file for reading, through gzip or bzip2 when its first bytes say so, whatever its name says."""
@@ -38,13 +41,20 @@ def open_bytes(path: Path) -> IO[bytes]:
     return path.open("rb")
 
 
-def lines_of(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield number (from 1) and text of each line not blank; FormatError where it is cut or no text."""
+def lines_of(path: Path, until: int | None = None) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a text; FormatError where it is cut or no text.
+
+    Args:
+        path: Of the text, plain or compressed.
+        until: Number of the first line that is left out, with all after it.
+    """
     number = 0
     try:
         with open_bytes(path) as file:
             # A limit, so that a huge file without line ends is refused and not swallowed.
             for number, raw in enumerate(iter(lambda: file.readline(MAX_LINE_BYTES), b""), start=1):
+                if number == until:
+                    return
                 if len(raw) >= MAX_LINE_BYTES:
                     raise FormatError(path, f"a line of more than {MAX_LINE_BYTES} bytes", number)
                 if b"\x00" in raw:
@@ -54,10 +64,14 @@ def lines_of(path: Path) -> Iterator[tuple[int, str]]:
                     yield number, line
     except UnicodeDecodeError as error:
         raise FormatError(path, f"not text: byte {error.object[error.start]:#04x} found", number) from error
-    except (EOFError, OSError, zlib.error) as error:
+    except EOFError as error:
+        if number + 1 != until:
+            why = f"compressed data is cut off after line {number}"
+            raise FormatError(path, why, number + 1) from error
+    except (OSError, zlib.error) as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise  # the disk, not the format
-        raise FormatError(path, f"compressed data is cut or damaged after line {number} ({error})") from error
+        raise FormatError(path, f"compressed data is damaged after line {number} ({error})") from error
 
 
 def stamp_ns(path: Path, line: int, text: str, unit_exponent: int = 9) -> int:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from runtime.formats.errors import FormatError
 from runtime.formats.laser_log import LaserLog
-from runtime.formats.text import ScanTable, lines_of, numbers, stamp_ns
+from runtime.formats.text import Lines, ScanTable, numbers, stamp_ns
 
 BEAMS = 682
 HEADER_COLUMNS = (24, 25)
@@ -30,11 +30,11 @@ def looks_like(line: str) -> bool:
     return len(tokens) >= HEADER_COLUMNS[0] and tokens[0].isdigit()
 
 
-def read_tinyslam(path: Path) -> LaserLog:
-    """Read a whole log; FormatError names the line that breaks a rule."""
+def read_tinyslam(path: Path, lines: Lines) -> LaserLog:
+    """Read the lines of a log; FormatError names the line that breaks a rule."""
     table = ScanTable(path, "tinySLAM", zero_is_a_code=True)
     columns = 0
-    for line, text in lines_of(path):
+    for line, text in lines:
         tokens = text.split()
         columns = columns or len(tokens)
         if len(tokens) != columns or len(tokens) - BEAMS not in HEADER_COLUMNS:

@@ -4,14 +4,16 @@ Stamps are printed in microseconds from their integer, so the digits of a log co
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from runtime.formats.cut import up_to_the_cut
 from runtime.formats.errors import FormatError
-from runtime.formats.text import lines_of, numbers, stamp_ns
+from runtime.formats.text import Lines, numbers, stamp_ns
 
 COLUMNS = 8
 
@@ -24,6 +26,8 @@ class Trajectory:
     """(N,) in file order."""
     poses: NDArray[np.float64]
     """(N, 3) x, y, yaw; m, rad."""
+    losses: tuple[str, ...] = ()
+    """What is missing from a file that was cut off."""
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -58,12 +62,19 @@ def write_tum(path: Path, stamps_ns: NDArray[np.int64], poses: NDArray[np.float6
 def read_tum(path: Path) -> Trajectory:
     """Read a trajectory of TUM's eight columns; height, roll and pitch are passed over.
 
+    One whose last line is cut off is read up to there.
+
     Raises:
         FormatError: Names the line that breaks a rule.
     """
+    trajectory, losses = up_to_the_cut(path, partial(_read, path))
+    return replace(trajectory, losses=losses)
+
+
+def _read(path: Path, lines: Lines) -> Trajectory:
     stamps: list[int] = []
     rows: list[list[float]] = []
-    for line, text in lines_of(path):
+    for line, text in lines:
         if text.startswith("#"):
             continue
         tokens = text.split()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from runtime.formats.errors import FormatError
 from runtime.formats.laser_log import LaserLog
-from runtime.formats.text import SICK_S_PER_RAD, ScanTable, lines_of, numbers, stamp_ns
+from runtime.formats.text import SICK_S_PER_RAD, Lines, ScanTable, numbers, stamp_ns
 
 BEAMS = 180
 STEP_RAD = math.pi / BEAMS
@@ -19,11 +19,11 @@ def looks_like(line: str) -> bool:
     return line.startswith(("L ", "O "))
 
 
-def read_wean(path: Path) -> LaserLog:
-    """Read a whole log; FormatError names the line that breaks a rule."""
+def read_wean(path: Path, lines: Lines) -> LaserLog:
+    """Read the lines of a log; FormatError names the line that breaks a rule."""
     table = ScanTable(path, "Wean")
     expected = {"L": _LASER_FIELDS, "O": _ODOMETRY_FIELDS}
-    for line, text in lines_of(path):
+    for line, text in lines:
         tokens = text.split()
         if tokens[0] not in expected:
             raise FormatError(path, f"line begins with {tokens[0][:20]!r}, must be L or O", line)

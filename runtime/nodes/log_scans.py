@@ -8,7 +8,8 @@ import numpy as np
 from processing.scan import Beams, Scan
 from runtime.formats.laser_log import LaserLog
 from runtime.formats.logs import open_log
-from runtime.nodes.missed import Missed, missing_before
+from runtime.formats.stamp_holes import missing_before
+from runtime.nodes.missed import Missed
 
 
 def beams_of(log: LaserLog) -> Beams:

@@ -15,6 +15,8 @@ from runtime.messages import BadMessageError
 from runtime.topics import topic
 
 LEVELS = ("ok", "warn", "error", "stale")
+LOOP_AGE_S = "loop_age_s"
+"""Among the values of a heartbeat, which has a thread of its own: how long ago the node's loop turned."""
 LEAVING = "leaving"
 """Among the values of the last word of a process that ends as it should."""
 _MAX_NODES = 256  # remembered; a foreign publisher must not grow this without end
@@ -82,6 +84,10 @@ class Health:
         """Return the names of those that spoke, and have not for `after_s`."""
         vitals = self.vitals()
         return {n for n, vital in vitals.items() if vital.age_s > after_s and (among is None or n in among)}
+
+    def loop_ages_s(self) -> dict[str, float]:
+        """Return how long ago the loop of each process had turned when it last spoke."""
+        return {name: vital.number(LOOP_AGE_S) for name, vital in self.vitals().items()}
 
     def forget(self, name: str) -> None:
         """Drop what a process said before it was started again."""

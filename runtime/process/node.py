@@ -23,7 +23,7 @@ from runtime.clock import Clock
 from runtime.messages import DiagnosticArray, DiagnosticStatus, KeyValue
 from runtime.port import Level, Subscription
 from runtime.process import realtime
-from runtime.process.health import LEAVING
+from runtime.process.health import LEAVING, LOOP_AGE_S
 from runtime.process.usage import Usage
 from runtime.topics import Topic
 from runtime.topics import topic as topic_named
@@ -164,6 +164,7 @@ class BusPort:
         """See Port.ready."""
         if self._is_ready:
             return
+        self.turn()  # whatever came before was no turn of the loop, however long it took
         bus = self._connected()
         realtime.settle()
         # Whoever is there already shall not miss the first message.
@@ -222,7 +223,7 @@ class BusPort:
             values["map.pulled_bytes"] = self._puller.bytes_received
             values["map.damaged_answers"] = self._puller.answers_damaged
         values |= self._counters
-        values["loop_age_s"] = f"{time.monotonic() - self._turned_monotonic:.1f}"
+        values[LOOP_AGE_S] = f"{time.monotonic() - self._turned_monotonic:.1f}"
         values |= self._usage.values()
         return values
 

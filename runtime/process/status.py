@@ -7,7 +7,7 @@ from typing import Any
 
 from runtime.bus.offset import Offset
 from runtime.latency import HOPS
-from runtime.process.health import Vital, number_of
+from runtime.process.health import LOOP_AGE_S, Vital, number_of
 
 SUPERVISOR = "supervisor"
 """On the robot's own machine; on others with more behind it."""
@@ -147,6 +147,8 @@ def _lines(vitals: Mapping[str, Vital]) -> list[ProcessLine]:
             level, text = "error", reason
         elif vital is not None and vital.age_s > _STALE_S and state in ("", "running", ELSEWHERE):
             level, text = "stale", f"not heard for {vital.age_s:.0f} s"
+        elif vital is not None and state in ("", "running", ELSEWHERE) and _stands_s(vital) > _STALE_S:
+            level, text = "stale", f"its loop has not turned for {_stands_s(vital):.0f} s"
         elif vital is None and state == ELSEWHERE:
             level, text = "stale", "not heard yet"
         values = vital.values if vital else _seen_by(told, name)
@@ -169,6 +171,11 @@ def _lines(vitals: Mapping[str, Vital]) -> list[ProcessLine]:
             )
         )
     return lines
+
+
+def _stands_s(vital: Vital) -> float:
+    """Return how long ago the loop of a process that is ready had turned when it last spoke."""
+    return vital.number(LOOP_AGE_S) if vital.number("ready") else 0.0
 
 
 def _told(vitals: Mapping[str, Vital]) -> dict[str, str]:

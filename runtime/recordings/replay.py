@@ -17,6 +17,7 @@ from runtime.formats.mcap_log import McapMessage, McapReader
 from runtime.formats.missing import Account
 from runtime.messages import BadMessageError, decode, encode, peek_stamp_ns
 from runtime.recordings.pace import Control, Pace
+from runtime.recordings.unnumbered import Counted, with_holes
 from runtime.topics import TOPICS
 
 REFUSED = ("cmd_vel",)
@@ -96,11 +97,15 @@ class Recorded:
         text = self.metadata.get("hallway", {}).get("seed", "")
         return int(text) if text.isdigit() else None
 
-    def messages(self) -> Iterator[tuple[McapMessage, int]]:
+    def messages(self) -> Iterator[Counted]:
         """Yield the messages of the chosen topics and time, in the order of the files.
 
-        Each comes with the number of those of its publisher that are missing right before it.
+        Each comes with the number of those of its publisher that are missing right before it, by its own
+        numbers, or by the stamps where scans have none.
         """
+        return with_holes(self._numbered())
+
+    def _numbered(self) -> Iterator[Counted]:
         self._account = account = Account()
         from_ns = self.began_ns + round(self._config.start_s * 1e9)
         until_ns = from_ns + round(self._config.duration_s * 1e9) if self._config.duration_s else None

@@ -156,8 +156,12 @@ def check_free(folder: Path) -> None:
 def check_writable(path: Path) -> None:
     """Refuse a file or folder that cannot be made where it shall be, before any work; raises ConfigError."""
     parent = next(one for one in path.absolute().parents if one.exists())
-    if not parent.is_dir() or not os.access(parent, os.W_OK):
-        raise ConfigError(f"{path}: {parent} cannot be written to")
+    try:
+        # Tried, not asked: root is told that it may write anywhere, also into /proc.
+        with tempfile.TemporaryFile(dir=parent):
+            return
+    except OSError as error:
+        raise ConfigError(f"{path}: {parent} cannot be written to") from error
 
 
 def link_latest(folder: Path) -> None:

@@ -83,6 +83,11 @@ class Child:
         return self._usage.values() if self._process and self._usage else {}
 
     @property
+    def dying(self) -> bool:
+        """Whether the process was ended; one that waits for a disk that does not answer is not gone yet."""
+        return bool(self._blamed)
+
+    @property
     def age_s(self) -> float:
         """Of the present state."""
         return time.monotonic() - self.since
@@ -139,6 +144,8 @@ class Child:
         code = self._process.poll()
         if code is not None:
             return self._buried(code)
+        if self.dying:
+            return None
         if self.state is State.STARTING and now - self.since > self.spec.start_s:
             return self.kill(f"was not ready within {self.spec.start_s:g} s")
         if self.state is not State.STOPPING and is_stopped(self._process.pid):

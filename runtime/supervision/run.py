@@ -121,12 +121,14 @@ class Run:
         hub_listens = (self.run_dir / "hub.sock").exists()
         ready = {HUB} if hub_listens else set()
         silent: set[str] = set()
+        loop_ages_s: dict[str, float] = {}
         if self._health is None and hub_listens:
             self._join()
         if self._health is not None:
             ready |= self._health.ready()
             silent = self._health.silent(SILENT_S)
-        self.supervisor.step(ready, silent)
+            loop_ages_s = self._health.loop_ages_s()
+        self.supervisor.step(ready, silent, loop_ages_s)
         if not self.supervisor.stopping and (why := self._end_of_robots()):
             self._note(Event(self.clock.now_ns(), self._name, why))
             self.supervisor.stop()

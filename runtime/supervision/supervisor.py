@@ -1,8 +1,8 @@
 """Start the processes of a graph in order, watch them, start them again, stop them all within two seconds.
 
 The supervisor has one thread and no patience: `step` looks once at everything and returns. It knows
-processes and the names of those that are ready and those that are silent; where these come from is not its
-business.
+processes, the names of those that are ready and those that are silent, and when the loop of each has turned;
+where these come from is not its business.
 """
 
 import os
@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 from runtime.clock import OFFSET_VARIABLE, Clock
 from runtime.graph import Graph, NodeSpec
@@ -114,22 +115,31 @@ class Supervisor:
             if child.state is State.STOPPING and child.age_s > _LINGERS_S
         }
 
-    def step(self, ready: Collection[str], silent: Collection[str] = ()) -> None:
+    def step(
+        self,
+        ready: Collection[str],
+        silent: Collection[str] = (),
+        loop_ages_s: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
         """Look once after every process; call it some twenty times a second.
 
         Args:
             ready: Names of the processes that say they are ready.
             silent: Names of the processes that have not been heard of for too long.
+            loop_ages_s: How long ago the loops of the others have turned, by their own account.
         """
         self._met |= self._elsewhere.intersection(ready)
         if self._is_deaf():
-            silent = ()
+            silent, loop_ages_s = (), {}
         for child in self.children.values():
             if child.state is State.STARTING and child.name in ready:
                 child.ready()
                 self._tell(child, "ready")
-            elif child.name in silent and child.state is State.RUNNING and child.age_s > SILENT_S:
-                self._tell(child, child.kill("does not speak any more"))
+            elif child.state is State.RUNNING and child.age_s > SILENT_S and not child.dying:
+                if child.name in silent:
+                    self._tell(child, child.kill("does not speak any more"))
+                elif loop_ages_s.get(child.name, 0.0) > child.spec.turn_s:
+                    self._tell(child, child.kill(f"its loop has not turned for {child.spec.turn_s:g} s"))
             while (happened := child.poll()) is not None:  # one that was buried may start in the same turn
                 if child.state is State.STARTING:
                     self._forget(child.name)
@@ -232,7 +242,7 @@ def commands(
 
 def child_environment(clock: Clock) -> dict[str, str]:
     """Return the environment of every process of a run."""
-    environment = {**os.environ, **realtime.THREAD_LIMITS}
+    environment = {**os.environ, **realtime.THREAD_LIMITS, **realtime.MEMORY_LIMITS}
     environment[OFFSET_VARIABLE] = str(clock.offset_ns)
     environment[realtime.PARENT_VARIABLE] = str(os.getpid())
     package = Path(__file__).resolve().parents[2]

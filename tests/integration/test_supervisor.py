@@ -51,13 +51,13 @@ class Scene:
             elsewhere,
         )
         self.children = self.supervisor.children
-        self.ready, self.silent = set(), set()
+        self.ready, self.silent, self.loop_ages_s = set(), set(), {}
 
     def until(self, condition, within_s=20.0):
         end = time.monotonic() + within_s
         while not condition():
             assert time.monotonic() < end, self.events
-            self.supervisor.step(self.ready, self.silent)
+            self.supervisor.step(self.ready, self.silent, self.loop_ages_s)
             time.sleep(0.01)
 
     def state(self, name):
@@ -205,6 +205,35 @@ def test_a_node_that_does_not_speak_is_started_again_but_not_in_its_first_second
     assert stage.children["a"].reasons[-1] == "does not speak any more"
 
 
+def test_a_node_whose_loop_hangs_while_it_speaks_is_started_again_and_one_that_works_long_is_not(
+    scene, monkeypatch
+):
+    monkeypatch.setattr("runtime.supervision.supervisor.SILENT_S", 0.3)
+    stage = scene({"hangs": SLEEPS, "works": SLEEPS}, hangs=NodeSpec(module="m", turn_s=10.0))
+    stage.ready = {"hangs", "works"}
+    stage.loop_ages_s = {"hangs": 10.5, "works": 10.5}
+    stage.until(lambda: stage.supervisor.all_ready)
+    began = time.monotonic()
+    stage.until(lambda: stage.children["hangs"].restarts == 1)
+    assert time.monotonic() - began > 0.25  # what it said may be of the time before it was ready
+    assert list(stage.children["hangs"].reasons) == ["its loop has not turned for 10 s"]
+    assert stage.children["works"].restarts == 0
+
+
+def test_one_that_was_ended_and_does_not_go_is_ended_once(scene, monkeypatch):
+    monkeypatch.setattr("runtime.supervision.supervisor.SILENT_S", 0.1)
+    stage = scene({"mute": SLEEPS, "late": SLEEPS}, late=NodeSpec(module="m", start_s=0.1))
+    for child in stage.children.values():  # as if the disk held it
+        monkeypatch.setattr(child, "signal", lambda number: None)
+    stage.ready = stage.silent = {"mute"}
+    stage.until(lambda: all(child.dying for child in stage.children.values()))
+    for _ in range(3):
+        stage.supervisor.step(stage.ready, stage.silent)
+    assert stage.said("mute") == ["starts", "ready", "does not speak any more"]
+    assert stage.said("late") == ["starts", "was not ready within 0.1 s"]
+    monkeypatch.undo()
+
+
 def test_a_supervisor_that_was_stopped_itself_takes_nobody_for_silent(scene, monkeypatch):
     monkeypatch.setattr("runtime.supervision.supervisor.SILENT_S", 0.3)
     monkeypatch.setattr("runtime.supervision.supervisor._STALL_S", 0.1)
@@ -212,7 +241,7 @@ def test_a_supervisor_that_was_stopped_itself_takes_nobody_for_silent(scene, mon
     stage.ready = {"a"}
     stage.until(lambda: stage.state("a") is State.RUNNING and stage.children["a"].age_s > 0.35)
     time.sleep(0.15)  # as after Ctrl-Z: what was said meanwhile was not heard
-    stage.silent = {"a"}
+    stage.silent, stage.loop_ages_s = {"a"}, {"a": 100.0}
     began = time.monotonic()
     stage.until(lambda: time.monotonic() - began > 0.25)
     assert stage.children["a"].restarts == 0

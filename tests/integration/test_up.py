@@ -28,6 +28,7 @@ NODES = {
         class Config:
             period_s: float = 0.05
             crash_after: int = 0
+            hang_after: int = 0
             def __post_init__(self):
                 if self.period_s <= 0:
                     raise ValueError(f"period_s = {self.period_s}, must be more than 0")
@@ -39,6 +40,8 @@ NODES = {
                 sent += 1
                 if config.crash_after and sent > config.crash_after:
                     raise RuntimeError("the mirror fell off")
+                while config.hang_after and sent > config.hang_after:
+                    time.sleep(1.0)
                 head = messages.header(port.clock.now_ns(), "laser")
                 arrays = np.ones(682, np.float32), np.zeros(0, np.float32)
                 scan = messages.LaserScan(head, 0.0, 1.0, 0.1, 0.0, 0.1, 0.0, 9.0, *arrays)
@@ -147,6 +150,19 @@ def wait_for_line(process, text):
         if text in line:
             return lines
     raise AssertionError("".join(lines) + process.stderr.read())
+
+
+def test_a_node_whose_loop_hangs_while_its_heartbeat_goes_on_is_started_again(desk):
+    desk.graph(source=", turn_s: 1.5, config: {hang_after: 10}")
+    up = desk.start("up", "g.yaml", "--headless", "--out", "res")
+    lines = wait_for_line(up, "source: its loop has not turned for 1.5 s")
+    wait_for_line(up, "source: ready")
+    up.send_signal(signal.SIGINT)
+    up.communicate(timeout=20)
+    told = json.loads((desk.folder / "res" / "run.json").read_text())["processes"]
+    assert told["source"]["reasons"][0] == "its loop has not turned for 1.5 s"
+    assert [told[name]["restarts"] for name in ("sink", "monitor")] == [0, 0]
+    assert not any("sink: its" in line for line in lines)
 
 
 def test_a_graph_runs_for_its_time_and_leaves_its_results(desk):

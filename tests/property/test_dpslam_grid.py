@@ -132,3 +132,7 @@ def test_memory_held_is_that_of_the_most_tiles_that_were_in_use_at_once():
     assert store.bytes_held == two > store.bytes_used
     own_tile(store.arrays, store.table, 0, 1, 1)
     assert store.bytes_held == two
+    # The larger pool holds what is in use, and no page of what only was.
+    store.reserve(100)
+    assert store.bytes_held == store.bytes_used < two
+    assert np.array_equal(store.dense(0)[0], np.zeros((8 * 32, 8 * 32, 4)))

@@ -17,6 +17,8 @@ from runtime.clock import Clock
 from runtime.formats.logs import open_log
 from runtime.formats.mcap_log import McapChannel
 from runtime.formats.mcap_writer import McapWriter
+from runtime.formats.write_bags import scan_messages, write_mcap
+from runtime.formats.write_text import write_carmen
 from runtime.messages import Attachment, encode, topic_key
 from runtime.nodes import matcher, player
 from runtime.nodes.convert import motion_to_message, scan_to_message
@@ -150,6 +152,24 @@ def test_a_drive_with_a_hole_is_the_same_however_it_is_taken(driven, tmp_path, m
     assert alone == motions
     assert played(recording, tmp_path) == motions
     assert all(step.match.state is not Tracking.LOST for step in steps)
+
+
+def test_a_text_log_with_a_hole_is_the_same_as_it_is_and_converted_and_played(drive, tmp_path, monkeypatch):
+    monkeypatch.setattr(player, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(player, "LEAD_S", 0.0)
+    writer = McapWriter(tmp_path / "drive.mcap")
+    for number, scan in enumerate(drive):
+        if number not in range(12, 22):  # early: the rate is told by the stamps, of which most tell no hole
+            message = encode(scan_to_message(scan))
+            writer.add(McapChannel("/robot/scan", topic("scan").type), 0, scan.stamp_ns, 0, message)
+    writer.finish()
+    write_carmen(tmp_path / "drive.clf", open_log(tmp_path / "drive.mcap"))
+    text = open_log(tmp_path / "drive.clf")
+    write_mcap(tmp_path / "converted.mcap", scan_messages(text))
+    _, motions = offline(tmp_path / "drive.clf")
+    assert motions != offline(tmp_path / "drive.clf", counts=False)[1]
+    assert offline(tmp_path / "converted.mcap")[1] == motions
+    assert played(tmp_path / "converted.mcap", tmp_path) == motions
 
 
 def test_without_the_count_the_hole_would_be_a_leap(driven):

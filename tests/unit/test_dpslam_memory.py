@@ -52,6 +52,7 @@ def test_of_one_place_only_the_newest_scans_are_kept():
         assert replaced == (seed - MOST_SCANS if seed >= MOST_SCANS else None)
         used.append(scans.bytes_used)
     assert used[-1] < 1.2 * used[MOST_SCANS]
+    assert used[-1] == sum(6 * len(numbers) for numbers in scans._numbers)
     ((_, ends),) = scans.rays(BEAMS)
     assert np.count_nonzero(np.diff(ends)) == MOST_SCANS
     # Another place, and another heading at the same place, are their own.
@@ -75,5 +76,6 @@ def test_a_restored_memory_goes_on_as_the_first_one():
     for seed in range(20, 45):
         pose = np.array((0.05 * seed, 0.0, 0.0))
         assert scans.add(sweep_of(seed)[2], pose) == twin.add(sweep_of(seed)[2], pose)
+    assert twin.bytes_used == scans.bytes_used
     one, other = scans.state(), twin.state()
     assert all(np.array_equal(one[name], other[name]) for name in one)

@@ -82,6 +82,13 @@ def test_a_rebuilt_map_is_the_map(mapped, past):
     assert [len(points) for points in mapped.loops.points] == [len(points) for points in again.loops.points]
 
 
+def test_what_is_held_is_told_with_the_points_by_which_places_are_found_again(mapped, past):
+    points = sum(one.nbytes for one in mapped.loops.points)
+    assert mapped.loops.bytes_used == rebuild(past, CONFIG).loops.bytes_used == points > 0
+    without = mapped.population.store.bytes_held + mapped._scans.bytes_used
+    assert mapped.bytes_held == without + points
+
+
 def test_a_rebuilt_past_is_the_past(past):
     again = past_of(rebuild(past, CONFIG)).arrays()
     for name, array in past.arrays().items():

@@ -56,6 +56,19 @@ def test_truths_without_a_pose_are_told_and_cost_the_exit_code(files, capsys):
     )
 
 
+@pytest.mark.parametrize("cut", ["--reference", "trajectory"])
+def test_a_file_that_is_cut_off_is_compared_up_to_there_and_costs_the_exit_code(files, capsys, cut):
+    text = (files / "trajectory.tum").read_text()
+    (files / "cut.tum").write_text(text[:-20])
+    pair = ("trajectory.tum", "cut.tum") if cut == "--reference" else ("cut.tum", "trajectory.tum")
+    code = main(["evaluate", str(files / pair[0]), "--reference", str(files / pair[1]), "--json"])
+    assert code == 4
+    captured = capsys.readouterr()
+    said = f"{files / 'cut.tum'}:50: the last line is cut off, and left out"
+    assert json.loads(captured.out)["losses"] == [said]
+    assert f"hallway evaluate: {said}\n" in captured.err
+
+
 def test_relations_of_another_log_are_refused(files, capsys):
     write_tum(files / "other.tum", STAMPS - 10**15, POSES)
     assert main(["evaluate", str(files / "other.tum"), "--relations", str(files / "relations")]) == 2

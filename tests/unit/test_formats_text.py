@@ -39,6 +39,10 @@ def written(tmp_path: Path, text: str | bytes, name: str = "some.log") -> Path:
     return path
 
 
+def only_first(log, count):
+    return [(record.stamp_ns, record.ranges_m.tobytes()) for record in list(log)[:count]]
+
+
 def only(log):
     (record,) = log
     return record
@@ -191,7 +195,7 @@ def test_stamps_that_tell_no_rate_leave_ten_scans_a_second(tmp_path, stamps):
         ("1" * 2_000_000, ":1: a line of more than 1048576 bytes"),
         ("O 1 2 3 4.5\n", "0 scans found, a Wean log must hold at least 1"),
         (flaser([1, 2]) + flaser([1, 2, 3]), r":2: scan of 3 beams, must be 2 as in line 1"),
-        (flaser([1, 2]) + flaser([1, 2])[:30], r":2: FLASER with \d+ fields, must be 12: the line is cut"),
+        (flaser([1, 2]) + flaser([1, 2])[:30] + "\n", r":2: FLASER with \d+ fields, must be 12: the"),
         ("FLASER\n", ":1: FLASER readings = '', must be a whole number"),
         ("FLASER -3 1 2 3\n", ":1: FLASER readings = '-3', must be a whole number of at least 1"),
         (flaser(["1.0", "x7"]), r":1: range 1 = 'x7', must be a number"),
@@ -202,7 +206,7 @@ def test_stamps_that_tell_no_rate_leave_ten_scans_a_second(tmp_path, stamps):
         (robotlaser([1.0], step=0.0, field=0.0), ":1: start angle -1.0, resolution 0.0 rad"),
         (robotlaser([1.0, 2.0])[:60], ":1: ROBOTLASER1"),
         (tinyslam([1000] * 681), r":1: 705 columns, must be 24 or 25 and 682 ranges: the line is cut"),
-        (tinyslam([1000] * 682) + tinyslam([1000] * 682)[:900], r":2: \d+ columns, must be 24 and 682"),
+        (tinyslam([1000] * 682) + tinyslam([1000] * 682)[:900] + "\n", r":2: \d+ columns, must be 24 and"),
         (tinyslam([1000] * 682, header=25) + tinyslam([1000] * 682), r":2: 706 columns, must be 25 and 682"),
         (wean([66] * 179), ":1: L with 187 fields, must be 188"),
         (wean([66] * 180) + "X 1 2\n", ":2: line begins with 'X', must be L or O"),
@@ -217,12 +221,60 @@ def test_a_bad_log_is_one_line_of_place_rule_and_value(tmp_path, text, said):
 
 
 @pytest.mark.parametrize("compress", [bz2.compress, gzip.compress])
-def test_cut_compression_is_told_with_the_last_good_line(tmp_path, compress):
+def test_a_compressed_log_that_is_cut_off_is_read_up_to_its_last_whole_line(tmp_path, compress):
     rng = np.random.default_rng(2)
-    text = "".join(flaser(rng.uniform(1, 5, 60).round(3)) for _ in range(2000))
+    text = "".join(flaser(rng.uniform(1, 5, 60).round(3)) for _ in range(6000))
     data = compress(text.encode())
-    with pytest.raises(FormatError, match=r"compressed data is cut or damaged after line \d+"):
-        open_log(written(tmp_path, data[: len(data) // 2], "a.clf.gz"))
+    log = open_log(written(tmp_path, data[: len(data) * 7 // 10], "a.clf.gz"))
+    assert 0 < len(log) < 6000
+    (loss,) = log.losses
+    assert loss.endswith(f"a.clf.gz:{len(log) + 1}: the last line is cut off, and left out")
+    whole = open_log(written(tmp_path, data, "b.clf.gz"))
+    assert whole.losses == ()
+    assert only_first(log, len(log)) == only_first(whole, len(log))
+    with pytest.raises(FormatError, match=r"compressed data is cut off after line 0"):
+        open_log(written(tmp_path, data[:50], "c.clf.gz"))
+
+
+def test_compressed_data_that_is_damaged_is_an_error(tmp_path):
+    data = bytearray(gzip.compress("".join(flaser([k, 2.0]) for k in range(1, 500)).encode()))
+    data[-6] ^= 0xFF  # of the sum at its end
+    with pytest.raises(FormatError, match=r"compressed data is damaged after line \d+ \(CRC"):
+        open_log(written(tmp_path, bytes(data), "a.clf.gz"))
+
+
+LINES = {
+    "FLASER": flaser([1.0, 2.0]),
+    "ROBOTLASER1": robotlaser([1.0, 2.0]),
+    "tinySLAM": tinyslam([1000] * 682),
+    "Wean": wean([66] * 180),
+}
+
+
+@pytest.mark.parametrize("name", LINES)
+@pytest.mark.parametrize("left", [0.02, 0.3, 0.7])
+@pytest.mark.parametrize("tail", ["", "\0" * 5000], ids=["cut", "zeros"])
+def test_a_log_whose_last_line_is_cut_off_is_read_up_to_there(tmp_path, name, left, tail):
+    line = LINES[name]
+    part = line[: max(1, int(left * len(line)))]
+    log = open_log(written(tmp_path, 3 * line + part + tail))
+    assert len(log) == 3
+    assert log.losses == (f"{tmp_path / 'some.log'}:4: the last line is cut off, and left out",)
+    assert only_first(log, 3) == only_first(open_log(written(tmp_path, 3 * line, "whole.log")), 3)
+
+
+@pytest.mark.parametrize("name", LINES)
+def test_a_line_that_is_broken_in_the_middle_or_has_an_end_is_no_cut(tmp_path, name):
+    line, part = LINES[name], LINES[name][: len(LINES[name]) // 2]
+    for text in (line + part + "\n" + line, line + part + "\n", line + part + "\0\n" + line):
+        with pytest.raises(FormatError, match=r"some\.log:2: "):
+            open_log(written(tmp_path, text))
+
+
+@pytest.mark.parametrize("name", LINES)
+def test_a_last_line_that_lacks_its_end_alone_is_whole(tmp_path, name):
+    log = open_log(written(tmp_path, (2 * LINES[name]).rstrip()))
+    assert (len(log), log.losses) == (2, ())
 
 
 def test_a_topic_of_a_text_log_is_refused(tmp_path):

@@ -87,6 +87,7 @@ def test_a_good_graph_is_resolved(modules):
         ("nodes: {a: {module: m, nice: -5}}", "nodes.a: nice = -5, must be in [0, 19]"),
         ("nodes: {a: {module: m, cores: [-1]}}", "cores = [-1], must not be negative"),
         ("nodes: {a: {module: m, start_s: 0}}", "start_s = 0.0, must be in (0, 600]"),
+        ("nodes: {a: {module: m, turn_s: 0}}", "turn_s = 0.0, must be in (0, 600]"),
         ("nodes: {a: {module: m, stop_s: 0}}", "stop_s = 0.0, must be in (0, 600]"),
         (
             "hosts: [pi, desk]\nnodes: {a: {module: m, host: dsk}}",

@@ -67,6 +67,18 @@ def test_silence_is_told_after_its_time_and_never_of_those_who_never_spoke(bus, 
     assert health.silent(-1.0) == {"laser"}
 
 
+def test_a_loop_that_hangs_is_told_though_its_process_speaks(bus, health):
+    say(bus, "robot/supervisor", **{"child.mapper.state": "running", "child.matcher.state": "starting"})
+    say(bus, "robot/mapper", 0, "mapping", ready=1, loop_age_s=7.2)
+    say(bus, "robot/matcher", 0, "starting", ready=0, loop_age_s=50.0)
+    assert health.loop_ages_s() == {"supervisor": 0.0, "mapper": 7.2, "matcher": 50.0}
+    lines = lines_of(health)
+    assert (lines["mapper"].level, lines["mapper"].text) == ("stale", "its loop has not turned for 7 s")
+    assert lines["matcher"].level == "ok"
+    say(bus, "robot/mapper", 0, "mapping", ready=1, loop_age_s=0.4)
+    assert lines_of(health)["mapper"].level == "ok"
+
+
 def test_a_token_that_outlives_its_process_does_not_make_the_next_one_ready(bus, health):
     old, new = bus.join(), bus.join()
     old.token(messages.node_token(old.zid, "robot", "laser"))

@@ -133,6 +133,14 @@ def test_people_read_rounded_numbers_of_a_session_and_machines_exact_ones(tmp_pa
     assert "resolution_m=0.05, origin_m=(-19.7, 2), key_scans=4" in capsys.readouterr().out
 
 
+def test_a_log_whose_last_line_is_cut_off_lacks_it(tmp_path, capsys):
+    lines = [f"FLASER 2 1.0 2.0 0 0 0 0 0 0 {k / 10:.6f} host 0\n" for k in range(1, 8)]
+    (tmp_path / "a.clf").write_text("".join(lines)[:-25])
+    code, report = info(capsys, tmp_path / "a.clf")
+    assert (code, report["scans"]) == (4, 6)
+    assert report["missing"] == [f"{tmp_path / 'a.clf'}:7: the last line is cut off, and left out"]
+
+
 def test_the_results_of_a_live_run_fit_a_page(tmp_path, capsys):
     run = {
         "processes": {"hub": {"state": "ended", "restarts": 0}, "laser": {"state": "ended", "reasons": []}},

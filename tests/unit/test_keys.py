@@ -1,6 +1,7 @@
 """Keys, guests and their list: what is secret stays readable for its owner alone."""
 
 import json
+import os
 import stat
 
 import pytest
@@ -195,6 +196,74 @@ def test_no_keys_are_made_for_a_robot_that_cannot_be(tmp_path, monkeypatch, caps
         "hallway keys: --robot = '1st', must be lower-case letters, digits and underscores\n"
     )
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "bad host",
+        "",
+        "x..y",
+        "-x",
+        "x-",
+        ".",
+        "m\u00fcller",
+        "10.0.0.999",
+        "10.0.0.1:7448",
+        "a" * 64,
+        "a." * 127 + "a",
+    ],
+)
+def test_no_keys_are_made_for_a_host_that_cannot_be(home, capsys, host):
+    assert main(["keys", "make", f"--host={host}"]) == 2
+    said = capsys.readouterr().err
+    assert said == f"hallway keys: host = {host!r}, must be a DNS name or an IP address, without a port\n"
+    assert list(home.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "host", ["10.0.0.1", "fe80::1", "robot", "Robot-7.local", "my_robot", "7up.example.org"]
+)
+def test_a_host_is_an_address_or_a_name(home, host):
+    assert main(["keys", "make", "--host", host]) == 0
+
+
+def test_a_machine_whose_own_name_is_none_of_dns_has_keys_without_it(home, monkeypatch):
+    monkeypatch.setattr("runtime.access.keys.socket.gethostname", lambda: "m\u00fcller")
+    assert keys.make("robot").certificate.exists()
+
+
+@pytest.mark.parametrize("address", ["bad host", "bad host:7448", "[::1", "h::1x:7"])
+def test_nobody_is_invited_to_an_address_that_cannot_be(home, address):
+    host = keys.make("robot")
+    with pytest.raises(ConfigError, match="must be HOST or HOST:PORT"):
+        keys.invite("robot", "anna", "viewer", address)
+    assert host.roster() == {}
+
+
+@pytest.mark.parametrize("words", [["invite", "bob"], ["ros", "anna.invitation"]])
+@pytest.mark.parametrize("out", ["/proc/x", "/proc/a/x"])
+def test_where_nothing_can_be_written_is_told_by_the_name_that_was_given(home, capsys, words, out):
+    host = keys.make("robot")
+    keys.write_private(home / "anna.invitation", keys.invite("robot", "anna", "viewer", "h").to_bytes())
+    assert main(["keys", *words, "--out", out]) == 2
+    assert capsys.readouterr().err == f"hallway keys: {out}: /proc cannot be written to\n"
+    assert host.roster() == {"anna": "viewer"}
+
+
+def test_a_disk_that_fails_leaves_nobody_on_the_list_and_no_half_of_a_key(home, capsys, monkeypatch):
+    host = keys.make("robot")
+
+    def full(descriptor):
+        if (home / f".bob.invitation.{os.getpid()}").exists():
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("runtime.access.keys.os.fsync", full)
+    assert main(["keys", "invite", "bob", "--address", "h", "--out", str(home / "bob.invitation")]) == 2
+    said = capsys.readouterr().err
+    assert said == f"hallway keys: {home / 'bob.invitation'}: cannot be written: No space left on device\n"
+    assert host.roster() == {}
+    assert [path.name for path in home.iterdir()] == ["keys"]
 
 
 def test_nobody_is_on_the_list_whose_invitation_cannot_be_written(tmp_path, monkeypatch, capsys):

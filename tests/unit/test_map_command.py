@@ -127,6 +127,17 @@ def test_odd_input_is_told_before_the_run(log, tmp_path, capsys):
     assert f"{SCANS} scans in" in captured.out
 
 
+def test_a_log_whose_last_line_is_cut_off_is_mapped_up_to_there_with_exit_code_4(log, tmp_path, capsys):
+    (tmp_path / "cut.clf").write_text(log.read_text()[:-300])
+    assert main(["map", str(tmp_path / "cut.clf"), "--out", str(tmp_path / "run"), "--json"]) == 4
+    captured = capsys.readouterr()
+    said = f"cut.clf:{SCANS + 1}: the last line is cut off, and left out"
+    assert f"hallway map: {tmp_path / said}\n" in captured.err
+    assert json.loads(captured.out)["losses"] == [str(tmp_path / said)]
+    assert said in json.loads((tmp_path / "run" / "run.json").read_text())["notices"]
+    assert len(read_tum(tmp_path / "run" / "trajectory.tum")) == SCANS - 1
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -147,7 +158,7 @@ def test_nobody_waits_for_loops_to_be_compiled_before_what_is_missing_is_said(lo
     [
         (["{empty}"], "the file is empty"),
         (["{foreign}"], "not a laser log"),
-        (["{cut}"], ":3: FLASER with"),
+        (["{broken}"], ":3: FLASER with"),
         (["{other}"], ":3: scan of 3 beams, must be 181 as in line 2"),
         (["nowhere.clf"], "nowhere.clf: No such file or directory"),
         (["{log}", "--seed", "-1"], "--seed = -1, must be in"),
@@ -160,14 +171,14 @@ def test_nobody_waits_for_loops_to_be_compiled_before_what_is_missing_is_said(lo
 def test_bad_input_is_one_line_and_exit_code_2_and_nothing_written(log, tmp_path, capsys, arguments, said):
     text = log.read_text()
     for name, content in {
-        "empty": "", "foreign": "hello\n", "cut": text[: len(text) // 15],
+        "empty": "", "foreign": "hello\n", "broken": text[: len(text) // 15] + "\n",
         "other": "".join(text.splitlines(True)[:2]) + "FLASER 3 1 1 1 0 0 0 0 0 0 1.0 h 0\n",
         "bad.yaml": "slam: {maping: {}}\n",
     }.items():  # fmt: skip
         (tmp_path / name).write_text(content)
     (tmp_path / "busy").mkdir()
     (tmp_path / "busy" / "thesis.tex").write_text("")
-    places = {name: tmp_path / name for name in ("empty", "foreign", "cut", "other", "busy")}
+    places = {name: tmp_path / name for name in ("empty", "foreign", "broken", "other", "busy")}
     filled = [one.format(log=log, bad=tmp_path / "bad.yaml", **places) for one in arguments]
     if "--out" not in filled:
         filled += ["--out", str(tmp_path / "run")]

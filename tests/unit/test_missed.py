@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from runtime.nodes.missed import HOLE_S, Missed, missing_before
+from runtime.formats.stamp_holes import HOLE_S, StampHoles, missing_before
+from runtime.nodes.missed import Missed
 
 S = 10**9
 PERIOD_S = 0.1
@@ -48,3 +49,21 @@ def test_what_never_came_is_counted(scans, expected):
 def test_in_a_log_without_numbers_the_stamps_around_a_hole_agree_on_it(periods, expected):
     stamps_ns = np.array([round((100.0 + PERIOD_S * at) * S) for at in periods], np.int64)
     assert missing_before(stamps_ns, PERIOD_S).tolist() == expected
+    assert while_they_come(stamps_ns) == expected
+
+
+def test_what_is_counted_while_scans_come_is_what_the_whole_log_tells():
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        number = np.cumsum(rng.choice([1, 1, 1, 1, 1, 1, 1, 1, 3, 60], 200))
+        held_up = rng.choice([0.0, 0.0, 0.0, 0.4, 3.0], 200) * rng.random(200)
+        stamps_ns = np.round((number + held_up) * PERIOD_S * S).astype(np.int64)
+        expected = missing_before(stamps_ns, PERIOD_S).tolist()
+        assert sum(expected) > 0
+        assert while_they_come(stamps_ns) == expected
+
+
+def while_they_come(stamps_ns):
+    holes = StampHoles(PERIOD_S)
+    counts = [count for stamp in stamps_ns.tolist() if (count := holes.take(stamp)) is not None]
+    return [*counts, *holes.end()]

@@ -255,6 +255,14 @@ def test_a_loop_that_turns_is_told_from_one_that_hangs(port, monkeypatch):
     assert port.counters()["loop_age_s"] == "0.0"
 
 
+def test_what_comes_before_a_node_is_ready_is_no_turn_of_its_loop_however_long_it_takes(port, monkeypatch):
+    now = time.monotonic
+    monkeypatch.setattr("runtime.process.node.time.monotonic", lambda: now() + 50.0)  # compiling took so long
+    assert float(port.counters()["loop_age_s"]) > 49
+    port.ready()
+    assert float(port.counters()["loop_age_s"]) < 10
+
+
 def test_a_late_node_gets_the_map_that_was_published_before(bus):
     with (
         BusPort("mapper", bus.join, publishes=("map",)) as mapper,

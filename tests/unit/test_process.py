@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from runtime.clock import Clock
 from runtime.process import __main__ as process
 from runtime.process.realtime import PARENT_VARIABLE
+from runtime.supervision.supervisor import child_environment
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -71,6 +73,33 @@ def test_who_only_stands_by_leaves_the_processor_to_others(stages):
 
 def test_who_is_called_before_it_has_imported_anything_hurries(stages):
     assert stages(called=True) == READY
+
+
+LARGE_AND_SMALL = """
+import numpy as np
+def resident_mb():
+    with open("/proc/self/status") as file:
+        return next(int(line.split()[1]) for line in file if line.startswith("VmRSS")) / 1e3
+kept, before = [], 0.0
+for turn in range(5):
+    large = [np.ones(250_000) for _ in range(20)]  # 40 MB, as when a map is drawn anew
+    kept.append(np.ones(1000))  # 8 kB that stay
+    del large
+    before = before or resident_mb()
+print(resident_mb(), before)
+"""
+
+
+def test_what_was_large_goes_back_to_the_system_though_something_small_came_after_it():
+    ran = subprocess.run(
+        [sys.executable, "-c", LARGE_AND_SMALL],
+        env=child_environment(Clock()),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    after_mb, first_mb = map(float, ran.stdout.split())
+    assert after_mb - first_mb < 4.0
 
 
 def test_a_pinned_process_stays_on_its_core_with_all_its_threads(tmp_path):

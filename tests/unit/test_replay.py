@@ -278,6 +278,46 @@ def test_the_numbers_that_listeners_see_have_the_hole_of_the_recording(tmp_path)
     assert recorded.gaps() == [{"topic": "/robot/scan", "at_s": 0.5, "first": 106, "count": 10}]
 
 
+def unnumbered(path, numbers, others=()):
+    """Write scans without numbers of these tenths of a second, and (topic, tenth) beside them."""
+    writer = McapWriter(path)
+    rows = [("scan", n) for n in numbers] + list(others)
+    for name, n in sorted(rows, key=lambda row: row[1]):
+        payload = scan(n) if name == "scan" else b"low"
+        at_ns = BEGAN + round(n * S / 10)
+        writer.add(McapChannel(f"/robot/{name}", TOPICS[name].type, {}), 0, at_ns, at_ns, payload)
+    writer.finish()
+    return path
+
+
+def test_scans_without_numbers_get_the_hole_that_their_stamps_tell(tmp_path):
+    path = unnumbered(tmp_path / "a.mcap", [*range(10), *range(14, 34)])
+    heard, recorded = numbers_heard(path)
+    assert [number for _, number in heard] == [*range(1, 11), *range(15, 35)]
+    assert recorded.losses() == recorded.gaps() == []  # without numbers nobody knows
+
+
+def test_who_waits_for_the_stamps_behind_a_hole_plays_in_order_and_all_of_it(tmp_path):
+    others = [("battery", n + 0.5) for n in range(0, 40, 5)]
+    path = unnumbered(tmp_path / "a.mcap", [*range(10), *range(14, 40)], others)
+    stage = Stage()
+    played = stage.run(path)
+    assert played.messages == {"scan": 36, "battery": 8}
+    assert played.scan_stamps_ns == [BEGAN + n * S // 10 for n in (*range(10), *range(14, 40))]
+    times = [now for now, _, _ in stage.sent]
+    assert times == sorted(times)
+    assert times[-1] - times[0] == pytest.approx(3.9 * S, abs=1000)
+
+
+def test_scans_that_tell_neither_number_nor_rate_are_played_one_by_one(tmp_path):
+    writer = McapWriter(tmp_path / "a.mcap")
+    for n, payload in enumerate((b"damaged", scan(0), scan(1), b"")):
+        writer.add(McapChannel("/robot/scan", TOPICS["scan"].type, {}), 0, BEGAN + n, BEGAN + n, payload)
+    writer.finish()
+    heard, _ = numbers_heard(tmp_path / "a.mcap")
+    assert [number for _, number in heard] == [1, 2, 3, 4]
+
+
 def test_what_lies_outside_of_the_played_part_is_not_missing_from_it(tmp_path):
     rows = [("scan", n * S // 10, scan(n)) for n in range(20)]
     path = write(tmp_path / "a.mcap", rows, missing=range(6, 16))

@@ -80,6 +80,18 @@ def test_a_bad_trajectory_is_one_line_of_place_rule_and_value(tmp_path, text, sa
         read_tum(tmp_path / "t.tum")
 
 
+def test_a_trajectory_whose_last_line_is_cut_off_is_read_up_to_there(tmp_path):
+    line = "1 0 0 0 0 0 0 1\n"
+    (tmp_path / "t.tum").write_text(2 * line + line[:8])
+    trajectory = read_tum(tmp_path / "t.tum")
+    assert len(trajectory) == 2
+    assert trajectory.losses == (f"{tmp_path / 't.tum'}:3: the last line is cut off, and left out",)
+    for text in (line[:8], line + line[:8] + "\n" + line):
+        (tmp_path / "t.tum").write_text(text)
+        with pytest.raises(FormatError, match="columns, must be 8"):
+            read_tum(tmp_path / "t.tum")
+
+
 def test_relations_are_pairs_of_stamps_and_a_planar_pose(tmp_path):
     (tmp_path / "r").write_text("1216.630413 1217.490267 0.4 -0.1 9 9 9 -0.07\n")
     relations = read_relations(tmp_path / "r")
