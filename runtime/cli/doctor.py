@@ -1,4 +1,4 @@
-"""Check what keeps newcomers from a map: port, permission, sensor, clocks, machine, bus.
+"""Check port, permission, sensor, clocks, machine and bus.
 
 Each line says what was looked at, what was found, what is needed, and what to do about the difference.
 """

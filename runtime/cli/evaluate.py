@@ -1,4 +1,7 @@
-"""Compare a trajectory with ground truth: relations of Kümmerle et al., or a reference trajectory."""
+"""Compare a trajectory with the truth.
+
+The truth is relations as those of Kümmerle et al., or another trajectory.
+"""
 
 import argparse
 import math

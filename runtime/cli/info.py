@@ -1,4 +1,7 @@
-"""Say what is in a recording, a session, a laser log or a results folder, and what is missing from it."""
+"""Say what is in a recording, log or run, and what is missing.
+
+Takes recordings, laser logs, bags, sessions and folders of results.
+"""
 
 import argparse
 import json

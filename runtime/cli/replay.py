@@ -1,4 +1,7 @@
-"""Play a recording onto the bus, as a robot of its own, at its own pace or another."""
+"""Play a recording onto the bus, as a robot of its own.
+
+At its own pace, another, or message by message.
+"""
 
 import argparse
 import os

@@ -1,4 +1,4 @@
-"""Look at the topics of a running robot: list them, print messages, measure rate and delay."""
+"""List topics of a robot, print messages, measure rate and delay."""
 
 import argparse
 import sys

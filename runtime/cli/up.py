@@ -1,4 +1,7 @@
-"""Start the processes of a graph, show how they are, and keep what they leave."""
+"""Start a robot, show its processes, keep what they leave.
+
+The robot is a graph: demo, handheld, onboard, or a YAML file.
+"""
 
 import argparse
 import json
@@ -333,6 +336,8 @@ def _save(
 
 
 def _say(report: dict[str, Any], as_json: bool) -> None:
+    from runtime.cli.written import print_written
+
     if report["reason"]:
         print(f"hallway up: {report['reason']}", file=sys.stderr)
     if as_json:
@@ -349,4 +354,4 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
             last = "" if told else f", last: {process['reasons'][-1]}"
             print(f"{name}: {process['restarts']} restarts{last}")
     written = sorted(p.name for p in Path(report["out"]).iterdir() if p.is_file())
-    print(f"{report['out']}/: {', '.join(written)}")
+    print_written(report["out"], written)
