@@ -174,8 +174,8 @@ class DpSlam:
         if self.loops is None:
             return
         self.loops.conclude()
-        if self.loops.places:
-            self.relive(self.loops.smoothed())
+        if self.loops.way.places:
+            self.relive(self.loops.way.smoothed())
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return the whole posterior as arrays; `from_state` goes on from it, bit for bit."""

@@ -79,7 +79,9 @@ def test_a_rebuilt_map_is_the_map(mapped, past):
     assert np.array_equal(seen.probability, drawn.probability, equal_nan=True)
     for one, other in zip(mapped.trajectory(), again.trajectory(), strict=True):
         assert np.array_equal(one, other)
-    assert [len(points) for points in mapped.loops.points] == [len(points) for points in again.loops.points]
+    assert [len(points) for points in mapped.loops.way.points] == [
+        len(points) for points in again.loops.way.points
+    ]
 
 
 def test_a_rebuilt_past_is_the_past(past):
