@@ -102,37 +102,21 @@ def _runs(args: argparse.Namespace, file: Path) -> int:
 
 def _run(args: argparse.Namespace, file: Path) -> int | None:
     """Run the graph once; None if that is to begin anew."""
-    from dataclasses import replace
-
     from runtime import graph as graphs
     from runtime import rundir
     from runtime.access import keys
     from runtime.bus.zenoh_bus import ZenohBus
     from runtime.cli.screen import Screen
     from runtime.config import to_yaml
-    from runtime.errors import ConfigError
     from runtime.process.realtime import is_watched
     from runtime.reports.results import check_free
     from runtime.supervision import machines
     from runtime.supervision.run import Run
 
-    if args.duration is not None and not args.duration > 0:
-        raise ConfigError(f"--duration = {args.duration:g}, must be more than 0 s")
-    graph = graphs.load(file)
-    changes = {key: getattr(args, key) for key in ("robot", "seed") if getattr(args, key) is not None}
-    try:
-        graph = replace(graph, **changes)
-    except ValueError as error:
-        raise ConfigError(f"--{error}") from error
     headless = args.headless or not graphs.has_screen()
-    if headless:
-        graph = graph.without_screen()
+    graph = _graph(args, file, headless)
     machine = machines.this_machine(graph, args.host)
-    if args.remote is not None and not machine.is_robot:
-        raise ConfigError(f"--remote: guests are let in on the robot's own machine, {machine.robots}")
-    remote = ""
-    if machine.is_robot and (args.remote is not None or machine.elsewhere):
-        remote = _door(args.remote or "0.0.0.0")
+    remote = _door(args.remote, machine)
     if args.service is None:  # under sudo the keys would be looked for in another home
         if remote:
             keys.authority(graph.robot)
@@ -177,10 +161,39 @@ def _run(args: argparse.Namespace, file: Path) -> int | None:
     return None if anew else code
 
 
-def _door(address: str) -> str:
-    """Return address and port at which guests are let in."""
-    from runtime.access import keys
+def _graph(args: argparse.Namespace, file: Path, headless: bool) -> "Graph":
+    """Return the graph of a file as the options have it."""
+    from dataclasses import replace
 
+    from runtime import graph as graphs
+    from runtime.errors import ConfigError
+
+    if args.duration is not None and not args.duration > 0:
+        raise ConfigError(f"--duration = {args.duration:g}, must be more than 0 s")
+    graph = graphs.load(file)
+    changes = {key: getattr(args, key) for key in ("robot", "seed") if getattr(args, key) is not None}
+    try:
+        graph = replace(graph, **changes)
+    except ValueError as error:
+        raise ConfigError(f"--{error}") from error
+    return graph.without_screen() if headless else graph
+
+
+def _door(address: str | None, machine: "Machine") -> str:
+    """Return address and port at which guests are let in; empty if nobody is.
+
+    Args:
+        address: As it was asked for: empty for all addresses, None if it was not.
+        machine: This one; the robot's own lets those in that have a part of it.
+    """
+    from runtime.access import keys
+    from runtime.errors import ConfigError
+
+    if address is not None and not machine.is_robot:
+        raise ConfigError(f"--remote: guests are let in on the robot's own machine, {machine.robots}")
+    if not machine.is_robot or (address is None and not machine.elsewhere):
+        return ""
+    address = address or "0.0.0.0"
     return address if ":" in address else f"{address}:{keys.PORT}"
 
 

@@ -5,8 +5,10 @@ from types import SimpleNamespace
 import pytest
 
 from runtime.cli import up
+from runtime.errors import ConfigError
 from runtime.graph import NodeSpec
 from runtime.supervision.child import State
+from runtime.supervision.machines import Machine
 from runtime.supervision.supervisor import Event
 
 MISSING = "exit code 3: /dev/ttyUSB0: no such port"
@@ -70,7 +72,22 @@ def test_the_summary_does_not_repeat_the_reason(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("asked", "door"), [("0.0.0.0", "0.0.0.0:7448"), ("pi", "pi:7448"), ("10.0.0.7:99", "10.0.0.7:99")]
+    ("asked", "door"),
+    [
+        (None, ""),
+        ("", "0.0.0.0:7448"),
+        ("0.0.0.0", "0.0.0.0:7448"),
+        ("pi", "pi:7448"),
+        ("10.0.0.7:99", "10.0.0.7:99"),
+    ],
 )
-def test_guests_come_in_at_the_usual_port_where_none_is_named(asked, door):
-    assert up._door(asked) == door
+def test_guests_come_in_where_asked_and_at_the_usual_port_where_none_is_named(asked, door):
+    assert up._door(asked, Machine()) == door
+
+
+def test_another_machine_of_the_run_comes_in_unasked_and_lets_nobody_in():
+    assert up._door(None, Machine("pi", "pi", {"mapper": "desk"})) == "0.0.0.0:7448"
+    desk = Machine("desk", "pi", {"laser": "pi"})
+    assert up._door(None, desk) == ""
+    with pytest.raises(ConfigError, match="let in on the robot's own machine, pi"):
+        up._door("", desk)
