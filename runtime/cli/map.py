@@ -156,8 +156,8 @@ def _save(
 
 
 def _say(report: dict[str, Any], as_json: bool) -> None:
+    from runtime.cli.fitting import print_written
     from runtime.cli.gaps import print_gaps
-    from runtime.cli.written import print_written
 
     if as_json:
         print_json(report)

@@ -349,7 +349,7 @@ def _save(
 
 
 def _say(report: dict[str, Any], as_json: bool) -> None:
-    from runtime.cli.written import print_written
+    from runtime.cli.fitting import print_written
 
     if report["reason"]:
         print(f"hallway up: {report['reason']}", file=sys.stderr)
