@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from runtime.cli import up
+from runtime.cli import up, up_end
 from runtime.errors import ConfigError
 from runtime.graph import NodeSpec
 from runtime.supervision.child import State
@@ -29,13 +29,13 @@ def child(name, state=State.FAILED, *, module="base", exit_code=3, required=True
     ],
 )
 def test_who_has_no_robot_is_told_how_to_do_without(failed, hint):
-    reason = up._reason(failed)
+    reason = up_end._reason(failed)
     assert reason.startswith(f"{failed.name}: {MISSING}")
     assert ("hallway up handheld" in reason) is hint
 
 
 def test_a_run_that_did_not_fail_has_no_reason():
-    assert up._reason(None) == ""
+    assert up_end._reason(None) == ""
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,7 @@ def test_a_run_that_did_not_fail_has_no_reason():
 )
 def test_the_reason_that_ends_a_run_is_kept_for_the_last_word(there, said):
     live = SimpleNamespace(supervisor=SimpleNamespace(children={"base": there}))
-    assert up._in_short(live, Event(0, "base", MISSING)) == said
+    assert up_end.in_short(live, Event(0, "base", MISSING)) == said
 
 
 def test_the_summary_does_not_repeat_the_reason(tmp_path, capsys):
@@ -59,15 +59,15 @@ def test_the_summary_does_not_repeat_the_reason(tmp_path, capsys):
         "metrics": {},
         "processes": {"base": process},
     }
-    up._say(report, False)
+    up_end.say(report, False)
     out, err = capsys.readouterr()
     assert (out + err).count("no such port") == 1
     process["restarts"] = 5
-    up._say(report, False)
+    up_end.say(report, False)
     out, err = capsys.readouterr()
     assert "base: 5 restarts\n" in out
     report["reason"] = ""
-    up._say(report, False)
+    up_end.say(report, False)
     assert f"base: 5 restarts, last: {MISSING}" in capsys.readouterr().out
 
 
