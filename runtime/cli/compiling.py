@@ -37,7 +37,7 @@ CHAINS: tuple[tuple[float, tuple[str, ...]], ...] = (
     ),
     (4.9, ("smoothing_kernels",)),
     (2.0, ("wide_match_kernels",)),
-    (1.7, ("saliency_kernels",)),
+    (2.2, ("saliency_kernels",)),
     (1.4, ("dpslam.ancestry",)),
     (2.8, ("walker_kernels",)),
 )
