@@ -42,18 +42,12 @@ def end_points(ranges_m, directions, sweep, twist, points, beams):
     return count
 
 
-@njit("i8(f8[:,::1], i8[::1], i8, f8, i8, f8[::1], f8[:,::1], i8[::1], f8[:,::1])", cache=True, nogil=True)
-def resample(points, beams, count, increment_rad, wanted, rule, out, members, work):
-    """Write the means of about `wanted` stretches of equal saliency into `out`; return their number.
+@njit("void(f8[:,::1], i8[::1], i8, f8, f8[::1], f8[:,::1])", cache=True, nogil=True)
+def cut(points, beams, count, increment_rad, rule, work):
+    """Number the pieces, neighbours in bearing whose distance a surface of the steepest kept slant explains.
 
-    `work` (N, 4) keeps smoothed x, y, saliency up to the point, and the piece's number.
-    `members` (N,) how many points each mean has.
-    `rule`: steepness at which a surface still holds together, range noise (m), support of the bend (m),
-        weight of a bend, weight of shortness, length (m) under which a piece is short.
+    `rule` and `work` are those of `resample`; so they are in the other steps.
     """
-    if count == 0:
-        return 0
-    # Pieces: neighbours in bearing whose distance a surface of the steepest kept slant explains.
     pieces = 0
     work[0, 3] = 0.0
     for k in range(1, count):
@@ -63,8 +57,14 @@ def resample(points, beams, count, increment_rad, wanted, rule, out, members, wo
         if gap > 4 or np.hypot(dx, dy) > rule[0] * near * increment_rad * gap + 3.0 * rule[1]:
             pieces += 1
         work[k, 3] = pieces
-    # Smooth along the piece, two neighbours each side: arc length over raw points counts the noise as way,
-    # and prefers the points that the noise pushed outward.
+
+
+@njit("void(f8[:,::1], i8, f8[:,::1])", cache=True, nogil=True)
+def smooth(points, count, work):
+    """Smooth each point along its piece, by two neighbours each side.
+
+    Arc length over raw points counts the noise as way, and prefers the points that the noise pushed outward.
+    """
     for k in range(count):
         reach = 0
         while (
@@ -80,7 +80,11 @@ def resample(points, beams, count, increment_rad, wanted, rule, out, members, wo
             sy += points[j, 1]
         work[k, 0] = sx / (2 * reach + 1)
         work[k, 1] = sy / (2 * reach + 1)
-    # Saliency up to each point of its piece.
+
+
+@njit("f8(i8, f8[::1], f8[:,::1])", cache=True, nogil=True)
+def weigh(count, rule, work):
+    """Sum the saliency up to each point of its piece; return that of all pieces."""
     begin = 0
     total = 0.0
     while begin < count:
@@ -108,7 +112,15 @@ def resample(points, beams, count, increment_rad, wanted, rule, out, members, wo
             work[k + 1, 2] = work[k, 2] + step * (1.0 + rule[3] * bend * bend + short)
         total += work[end, 2]
         begin = end + 1
-    # The stretch that gives the wanted number, by bisection; the number falls as the stretch grows.
+    return total
+
+
+@njit("f8(i8, i8, f8, f8[:,::1])", cache=True, nogil=True)
+def stretch_for(count, wanted, total, work):
+    """Return the saliency of a stretch by which there are `wanted` of them, by bisection.
+
+    Their number falls as the stretch grows.
+    """
     low, high = 0.0, total + 1e-9
     for _ in range(30):
         middle = 0.5 * (low + high)
@@ -120,7 +132,12 @@ def resample(points, beams, count, increment_rad, wanted, rule, out, members, wo
             low = middle
         else:
             high = middle
-    stretch = high
+    return high
+
+
+@njit("i8(f8[:,::1], i8, f8, f8[:,::1], i8[::1], f8[:,::1])", cache=True, nogil=True)
+def gather(points, count, stretch, out, members, work):
+    """Write the mean of the points of each stretch; return how many there are."""
     written = 0
     begin = 0
     while begin < count:
@@ -145,3 +162,20 @@ def resample(points, beams, count, increment_rad, wanted, rule, out, members, wo
             written += 1
         begin = end + 1
     return written
+
+
+@njit("i8(f8[:,::1], i8[::1], i8, f8, i8, f8[::1], f8[:,::1], i8[::1], f8[:,::1])", cache=True, nogil=True)
+def resample(points, beams, count, increment_rad, wanted, rule, out, members, work):
+    """Write the means of about `wanted` stretches of equal saliency into `out`; return their number.
+
+    `work` (N, 4) keeps smoothed x, y, saliency up to the point, and the piece's number.
+    `members` (N,) how many points each mean has.
+    `rule`: steepness at which a surface still holds together, range noise (m), support of the bend (m),
+        weight of a bend, weight of shortness, length (m) under which a piece is short.
+    """
+    if count == 0:
+        return 0
+    cut(points, beams, count, increment_rad, rule, work)
+    smooth(points, count, work)
+    total = weigh(count, rule, work)
+    return gather(points, count, stretch_for(count, wanted, total, work), out, members, work)

@@ -100,6 +100,55 @@ def _normal(
     return True
 
 
+@njit("b1(f8[::1], f8[:,::1], f8, f8[::1], f8[:,::1], f8[::1])", cache=True, nogil=True)
+def descend(
+    predicted: NDArray[np.float64],
+    prior: NDArray[np.float64],
+    gain: float,
+    g: NDArray[np.float64],
+    H: NDArray[np.float64],
+    pose: NDArray[np.float64],
+) -> bool:
+    """Move `pose` by one step of Gauss-Newton on -score + prior, both positive definite.
+
+    Args:
+        predicted: (3,) mean of the prior.
+        prior: (3, 3) its information.
+        gain: Weight of the score.
+        g: (3,) gradient of -score.
+        H: (3, 3) its curvature.
+        pose: (3,) where it is, and then where it has got to.
+
+    Returns:
+        Whether it hardly moved.
+    """
+    d0, d1 = pose[0] - predicted[0], pose[1] - predicted[1]
+    d2 = (pose[2] - predicted[2] + np.pi) % (2.0 * np.pi) - np.pi
+    a00, a01, a02 = (
+        gain * H[0, 0] + prior[0, 0],
+        gain * H[0, 1] + prior[0, 1],
+        gain * H[0, 2] + prior[0, 2],
+    )
+    a11, a12, a22 = (
+        gain * H[1, 1] + prior[1, 1],
+        gain * H[1, 2] + prior[1, 2],
+        gain * H[2, 2] + prior[2, 2],
+    )
+    b0 = gain * g[0] + prior[0, 0] * d0 + prior[0, 1] * d1 + prior[0, 2] * d2
+    b1 = gain * g[1] + prior[0, 1] * d0 + prior[1, 1] * d1 + prior[1, 2] * d2
+    b2 = gain * g[2] + prior[0, 2] * d0 + prior[1, 2] * d1 + prior[2, 2] * d2
+    m00, m01, m02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
+    m11, m12, m22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
+    det = a00 * m00 + a01 * m01 + a02 * m02
+    s0 = -(m00 * b0 + m01 * b1 + m02 * b2) / det
+    s1 = -(m01 * b0 + m11 * b1 + m12 * b2) / det
+    s2 = -(m02 * b0 + m12 * b1 + m22 * b2) / det
+    pose[0] += s0
+    pose[1] += s1
+    pose[2] += s2
+    return bool(abs(s0) < 1e-4 and abs(s1) < 1e-4 and abs(s2) < 1e-5)
+
+
 @njit(
     f"void({_STORE}, i4[:,:,::1], i8, i8, i8, "
     "f8[:,::1], f8[::1], f8[:,::1], f8, f8[::1], f8[:,::1], f8[::1])",
@@ -204,31 +253,6 @@ def align(
                 information[a, b] = gain * H[a, b]
         if iteration == ITERATIONS:
             break
-        # Gauss-Newton on -score + prior, both positive definite.
-        d0, d1 = pose[0] - predicted[0], pose[1] - predicted[1]
-        d2 = (pose[2] - predicted[2] + np.pi) % (2.0 * np.pi) - np.pi
-        a00, a01, a02 = (
-            gain * H[0, 0] + prior[0, 0],
-            gain * H[0, 1] + prior[0, 1],
-            gain * H[0, 2] + prior[0, 2],
-        )
-        a11, a12, a22 = (
-            gain * H[1, 1] + prior[1, 1],
-            gain * H[1, 2] + prior[1, 2],
-            gain * H[2, 2] + prior[2, 2],
-        )
-        b0 = gain * g[0] + prior[0, 0] * d0 + prior[0, 1] * d1 + prior[0, 2] * d2
-        b1 = gain * g[1] + prior[0, 1] * d0 + prior[1, 1] * d1 + prior[1, 2] * d2
-        b2 = gain * g[2] + prior[0, 2] * d0 + prior[1, 2] * d1 + prior[2, 2] * d2
-        m00, m01, m02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
-        m11, m12, m22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
-        det = a00 * m00 + a01 * m01 + a02 * m02
-        s0 = -(m00 * b0 + m01 * b1 + m02 * b2) / det
-        s1 = -(m01 * b0 + m11 * b1 + m12 * b2) / det
-        s2 = -(m02 * b0 + m12 * b1 + m22 * b2) / det
-        pose[0] += s0
-        pose[1] += s1
-        pose[2] += s2
-        if abs(s0) < 1e-4 and abs(s1) < 1e-4 and abs(s2) < 1e-5:
+        if descend(predicted, prior, gain, g, H, pose):
             break
     pose[2] = (pose[2] + np.pi) % (2.0 * np.pi) - np.pi

@@ -174,8 +174,8 @@ class DpSlam:
         if self.loops is None:
             return
         self.loops.conclude()
-        if self.loops.places:
-            self.relive(self.loops.smoothed())
+        if self.loops.way.places:
+            self.relive(self.loops.way.smoothed())
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return the whole posterior as arrays; `from_state` goes on from it, bit for bit."""
@@ -263,7 +263,7 @@ class DpSlam:
     @property
     def bytes_held(self) -> int:
         """Memory of all maps, and of the key scans that they are drawn from: it grows with the area."""
-        points = 0 if self.loops is None else self.loops.bytes_used
+        points = 0 if self.loops is None else self.loops.way.bytes_used
         return self.population.store.bytes_held + self._scans.bytes_used + points
 
     def _on_old_ground(self) -> bool:

@@ -3,9 +3,9 @@
 import numpy as np
 
 from processing import se2
-from processing.dpslam.loops import DOUBT
 from processing.dpslam.memory import HEADINGS, MOST_SCANS, PLACE_M
 from processing.dpslam.past import Ints, Past
+from processing.dpslam.places import DOUBT
 from processing.dpslam.population import ARRIVAL
 from processing.se2 import Pose
 

@@ -6,6 +6,9 @@ from numpy.typing import NDArray
 from processing.growing import Growing
 from processing.se2 import Pose
 
+DOUBT = 12.0
+"""Chi-square at which a place is doubted: 3 degrees of freedom pass it once in a hundred."""
+
 
 class Places:
     """Relations of key scans to settled ones, in the order in which they were found."""

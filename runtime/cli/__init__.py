@@ -1,6 +1,6 @@
 """The `hallway` command: a table of verbs, each a module that is imported when it is asked for.
 
-A verb module has a docstring whose first line is its help, `add_arguments(parser)` and `run(args) -> int`;
+A verb module has a docstring, its help, `add_arguments(parser)` and `run(args) -> int`;
 what is heavy is imported inside `run`. Expected errors become one line and an exit code; a bug keeps its
 traceback.
 """
@@ -50,14 +50,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     asked = next((word for word in arguments if not word.startswith("-")), None)
     parser = Parser(
-        prog="hallway", description="Maps from one laser range finder and nothing else.", epilog=EXIT_CODES
+        prog="hallway",
+        description="Maps from one laser range finder and nothing else. To begin: hallway up demo",
+        epilog=EXIT_CODES,
     )
     parser.add_argument("--version", action="version", version=f"hallway {_version()}")
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    verbs = parser.add_subparsers(title="verbs", dest="verb", metavar="VERB", required=True)
     for verb in VERBS:
-        if (text := help_of(verb)) is None:
+        if (text := about(verb)) is None:
             continue
-        sub = verbs.add_parser(verb, help=text, description=text, epilog=EXIT_CODES)
+        sub = verbs.add_parser(verb, help=text.splitlines()[0], description=text, epilog=EXIT_CODES)
         if verb == asked:
             import_module(f"runtime.cli.{verb}").add_arguments(sub)
     if not arguments:
@@ -93,13 +95,16 @@ def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-def help_of(verb: str) -> str | None:
-    """Return a verb's help, read without importing its module; None where there is no such module."""
+def about(verb: str) -> str | None:
+    """Return what a verb's docstring says, read without importing it; None where there is no such module.
+
+    Its first line is what the list of verbs has, one line of a terminal.
+    """
     spec = importlib.util.find_spec(f"runtime.cli.{verb}")
     if spec is None or spec.origin is None:
         return None
     with open(spec.origin, encoding="utf-8") as file:
-        return (ast.get_docstring(ast.parse(file.read())) or verb).splitlines()[0]
+        return ast.get_docstring(ast.parse(file.read())) or verb
 
 
 def _version() -> str:

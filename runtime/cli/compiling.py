@@ -37,7 +37,7 @@ CHAINS: tuple[tuple[float, tuple[str, ...]], ...] = (
     ),
     (4.9, ("smoothing_kernels",)),
     (2.0, ("wide_match_kernels",)),
-    (1.7, ("saliency_kernels",)),
+    (2.2, ("saliency_kernels",)),
     (1.4, ("dpslam.ancestry",)),
     (2.8, ("walker_kernels",)),
 )
@@ -102,7 +102,7 @@ def compile_here(verb: str) -> None:
     if "NUMBA_CACHE_DIR" in environment:
         os.environ["NUMBA_CACHE_DIR"] = environment["NUMBA_CACHE_DIR"]
     compile_all(environment, say)
-    with told(say, "still loading the inner loops; what was never compiled here is compiled now ..."):
+    with told(say, "still loading; loops never compiled here are compiled now ..."):
         importlib.import_module("processing.slam")
 
 

@@ -1,4 +1,7 @@
-"""Print what makes a shell complete our verbs and options: eval "$(hallway completion bash)"."""
+"""Print a script that makes a shell complete verbs and options.
+
+In bash: eval "$(hallway completion bash)"; zsh and fish alike.
+"""
 
 import argparse
 import shlex
@@ -53,11 +56,11 @@ def verbs() -> list[Verb]:
 
     found = []
     for name in cli.VERBS:
-        if (text := cli.help_of(name)) is None:
+        if (text := cli.about(name)) is None:
             continue
         parser = Parser(prog=name)
         importlib.import_module(f"runtime.cli.{name}").add_arguments(parser)
-        found.append(Verb(name, text, tuple(dict.fromkeys(_words(parser)))))
+        found.append(Verb(name, text.splitlines()[0], tuple(dict.fromkeys(_words(parser)))))
     return found
 
 

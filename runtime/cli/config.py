@@ -1,4 +1,7 @@
-"""Print the configuration of a graph with all its defaults, or check a graph without starting it."""
+"""Print the configuration of a graph, defaults too; or check it.
+
+Nothing is started.
+"""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""Turn a laser log, recording or trajectory into another format, or a cut recording into a whole one."""
+"""Turn a log, recording or trajectory into another format.
+
+A recording that was cut becomes a whole one.
+"""
 
 import argparse
 import shutil

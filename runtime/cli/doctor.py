@@ -1,4 +1,4 @@
-"""Check what keeps newcomers from a map: port, permission, sensor, clocks, machine, bus.
+"""Check port, permission, sensor, clocks, machine and bus.
 
 Each line says what was looked at, what was found, what is needed, and what to do about the difference.
 """
@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from runtime.cli.fitting import fitted
 from runtime.cli.for_machines import print_json
 from runtime.cli.parsing import number, whole_number
 
@@ -85,6 +86,7 @@ def _look(args: argparse.Namespace) -> "Iterator[Finding]":
 
 
 def _print(finding: "Finding") -> None:
-    print(f"{_MARKS[finding.verdict.value]}  {finding.what:13} {finding.found}   (needed: {finding.needed})")
-    if finding.advice:
+    line = f"{_MARKS[finding.verdict.value]}  {finding.what:13} {finding.found}   (needed: {finding.needed})"
+    print(fitted(line, 20))
+    if finding.advice:  # has commands in it, which must stay whole for who copies them
         print(f"      -> {finding.advice}")

@@ -1,4 +1,7 @@
-"""Compare a trajectory with ground truth: relations of Kümmerle et al., or a reference trajectory."""
+"""Compare a trajectory with the truth.
+
+The truth is relations as those of Kümmerle et al., or another trajectory.
+"""
 
 import argparse
 import math
@@ -148,13 +151,13 @@ def _report(
 def _print_table(report: dict[str, Any]) -> None:
     titles = {"relation": "relations", "ate": "ATE, aligned", "rpe": f"RPE over {report.get('stretch_m')} m"}
     print(f"{report['compared']} of {report['truths']} truths compared")
-    print(f"{'':<16}{'':<5}{'mean ± std':>20}{'rmse':>10}{'median':>10}{'p95':>10}{'max':>10}")
+    print(f"{'':<16}{'':<4}{'mean ± std':>18}{'rmse':>9}{'median':>9}{'p95':>9}{'max':>9}")
     for name, title in titles.items():
         if name not in report:
             continue
         for unit, key, digits in (("m", "translation_m", 4), ("deg", "rotation_deg", 3)):
             s = report[name][key]
             spread = f"{s['mean']:.{digits}f} ± {s['std']:.{digits}f}"
-            rest = "".join(f"{s[column]:>10.{digits}f}" for column in ("rmse", "median", "p95", "max"))
-            print(f"{title:<16}{unit:<5}{spread:>20}{rest}")
+            rest = "".join(f"{s[column]:>9.{digits}f}" for column in ("rmse", "median", "p95", "max"))
+            print(f"{title:<16}{unit:<4}{spread:>18}{rest}")
             title = ""

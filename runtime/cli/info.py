@@ -1,4 +1,7 @@
-"""Say what is in a recording, a session, a laser log or a results folder, and what is missing from it."""
+"""Say what is in a recording, log or run, and what is missing.
+
+Takes recordings, laser logs, bags, sessions and folders of results.
+"""
 
 import argparse
 import json
@@ -96,6 +99,7 @@ def _log(path: Path, topic: str | None) -> dict[str, Any]:
 
 
 def _print(report: dict[str, Any]) -> None:
+    from runtime.cli.fitting import fitted
     from runtime.cli.gaps import print_gaps
 
     topics = report.get("topics")
@@ -107,16 +111,17 @@ def _print(report: dict[str, Any]) -> None:
         if key == "events":
             value = f"{len(value)}, in run.json and in the logs"
         for name, part in _parts(key, value):
-            print(f"{name:<20} {_text(part)}")
+            print(fitted(f"{name:<20} {_text(part)}", 21))
     if topics:
-        print(f"{'topic':<28}{'messages':>9}{'Hz':>8}{'missing':>9}  type")
+        width = max(map(len, topics))
+        print(f"{'topic':<{width}} {'messages':>9}{'Hz':>8}{'missing':>9}  type")
         for name, row in topics.items():
             rate = "" if row["rate_hz"] is None else f"{row['rate_hz']:.2f}"
-            print(f"{name:<28}{row['messages']:>9}{rate:>8}{row['missing']:>9}  {row['type']}")
+            print(f"{name:<{width}} {row['messages']:>9}{rate:>8}{row['missing']:>9}  {row['type']}")
     print_gaps("missing messages of", report.get("gaps", []))
     for key in ("outages", "notices", "missing"):
         for one in report.get(key, []):
-            print(f"{key.rstrip('s'):<20} {one}")
+            print(fitted(f"{key.rstrip('s'):<20} {one}", 21))
 
 
 def _parts(name: str, value: Any) -> Iterator[tuple[str, Any]]:

@@ -1,4 +1,4 @@
-"""Decide who may come to a robot from another machine: make keys, invite, revoke, pair."""
+"""Say who may come from another machine: invite, pair, revoke."""
 
 import argparse
 import json

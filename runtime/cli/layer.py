@@ -1,4 +1,7 @@
-"""Paint on a saved map: erase, draw walls, keep robots out; the session keeps it as a layer."""
+"""Paint on a saved map: erase, draw walls, keep robots out.
+
+The session keeps the paint as a layer, over what the laser sees.
+"""
 
 import argparse
 import os

@@ -1,4 +1,7 @@
-"""Follow the laser of a log on a saved map, from an unknown start; the map stays as it is."""
+"""Follow the laser of a log on a saved map, from an unknown start.
+
+The map stays as it is.
+"""
 
 import argparse
 import sys

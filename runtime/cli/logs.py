@@ -1,4 +1,4 @@
-"""Print what the processes of a running robot, or of a finished run, wrote into their logs."""
+"""Print what the processes of a robot, or of a past run, logged."""
 
 import argparse
 import time

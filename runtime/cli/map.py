@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from runtime.nodes.saved import Saved
 
 MAX_SEED = 2**63
+WRITTEN = ("map.png", "report.html", "map.pgm", "map.yaml", "trajectory.tum", "session.mcap")
+"""What people look for first; `hallway info` lists the rest."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -154,6 +156,7 @@ def _save(
 
 
 def _say(report: dict[str, Any], as_json: bool) -> None:
+    from runtime.cli.fitting import print_written
     from runtime.cli.gaps import print_gaps
 
     if as_json:
@@ -162,7 +165,8 @@ def _say(report: dict[str, Any], as_json: bool) -> None:
     states = ", ".join(f"{count} {name}" for name, count in report["states"].items())
     print(
         f"{report['scans']} scans in {report['seconds']:.1f} s ({report['times_real_time']:.1f} x real time),"
-        f" {report['way_m']:.1f} m driven, {report['known_m2']:.0f} m2 mapped; {states}"
+        f" {report['way_m']:.1f} m driven, {report['known_m2']:.0f} m2 mapped"
     )
+    print(f"state of the track, in scans: {states}")
     print_gaps("not in the recording", report["gaps"])
-    print(f"{report['out']}/: map.png, report.html, map.pgm + map.yaml, trajectory.tum, session.mcap")
+    print_written(report["out"], WRITTEN)

@@ -1,4 +1,7 @@
-"""Make our counterpart of the paper's figures and tables from simulated buildings and from logs."""
+"""Make our counterpart of the paper's figures and tables.
+
+From simulated buildings, and from logs where some are given.
+"""
 
 import argparse
 import os

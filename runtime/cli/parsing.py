@@ -14,6 +14,11 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **{**kwargs, "allow_abbrev": False})
 
+    def error(self, message: str) -> NoReturn:
+        """End with the line of usage and what is wrong; and where to read of a word that is missing."""
+        missing = message.startswith("the following arguments are required")
+        super().error(f"{message}; `{self.prog} --help` lists what it may be" if missing else message)
+
     def refuse(self, unknown: list[str]) -> NoReturn:
         """End with the words that nobody took, and what the first option among them is near to."""
         option = next((word.partition("=")[0] for word in unknown if word.startswith("--")), "")

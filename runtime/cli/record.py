@@ -1,4 +1,7 @@
-"""Record the topics of a running robot to MCAP files, up to the last second whatever happens."""
+"""Record the topics of a running robot to MCAP files.
+
+What was said up to the last second is in them, whatever happens.
+"""
 
 import argparse
 import os

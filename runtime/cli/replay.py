@@ -1,4 +1,7 @@
-"""Play a recording onto the bus, as a robot of its own, at its own pace or another."""
+"""Play a recording onto the bus, as a robot of its own.
+
+At its own pace, another, or message by message.
+"""
 
 import argparse
 import os
@@ -10,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.fitting import fitted
 from runtime.cli.for_machines import print_json
 from runtime.cli.parsing import number
 from runtime.cli.replay_keys import HELP, Keys
@@ -79,7 +83,8 @@ def run(args: argparse.Namespace) -> int:
     check_robot(robot, "--as")
     if not args.json:
         said = ", ".join(recorded.played)
-        print(f"{recorded.duration_s:.1f} s of {said} as robot {robot!r}", file=sys.stderr)
+        line = f"{recorded.duration_s:.1f} s of {said} as robot {robot!r}"
+        print(fitted(line, stream=sys.stderr), file=sys.stderr)
     with _stage(robot, recorded, args.domain) as stage:
         played = _play(stage, robot, recorded, config, args)
     return _report(played, recorded, args)
@@ -191,7 +196,7 @@ def _report(played: "Played", recorded: "Recorded", args: argparse.Namespace) ->
         print_json(report)
     else:
         sent = ", ".join(f"{count} {name}" for name, count in played.messages.items()) or "nothing"
-        print(f"sent {sent}; at most {late_ms:.1f} ms late")
+        print(fitted(f"sent {sent}; at most {late_ms:.1f} ms late"))
         print_gaps("not in the recording", report["gaps"])
         for one in report["outages"] + report["losses"]:
             print(f"hallway replay: {one}", file=sys.stderr)

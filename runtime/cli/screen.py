@@ -119,7 +119,6 @@ def table(status: Status, elapsed_s: float | None) -> Any:
         (status.tracking or "starting", _STATE_COLOURS.get(status.tracking.split(" ")[0], "white")),
         "" if elapsed_s is None else f"   {elapsed_s:.0f} s",
         f"   map {status.map_size or '-'}   {status.mapped} of {status.scans} scans",
-        "" if status.clock is None else f"   clock {status.clock}",
     )
     rates = "   ".join(f"{name} {rate:.1f}/s" for name, rate in status.rates_hz.items())
     hops = _columns(Table, "last minute", "p50 ms", "p99 ms", "max ms")
@@ -139,6 +138,8 @@ def table(status: Status, elapsed_s: float | None) -> Any:
         )
         if line.level != "ok" and line.text:
             troubles.append(f"{line.name}: {line.text}\n", style=colour)
+    if status.clock is not None:
+        troubles.append(f"clock of the robot minus ours: {status.clock}")
     troubles.rstrip()
     return Group(head, rates, hops, processes, *([troubles] if troubles else []))
 

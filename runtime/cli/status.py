@@ -1,4 +1,4 @@
-"""Show how a running robot is: its processes, rates, and latency hop by hop."""
+"""Show a running robot: processes, rates, latency hop by hop."""
 
 import argparse
 import sys
@@ -39,7 +39,6 @@ def run(args: argparse.Namespace) -> int:
                 print_json(status.to_json())
             else:
                 _print(status)
-                print(f"clock of the robot minus ours: {status.clock or 'not told'}")
             well = all(line.level == "ok" for line in status.processes)
             return 0 if well and status.processes else 1
         with Screen(quiet=args.json) as screen:

@@ -1,4 +1,4 @@
-"""Drive a running robot by keyboard or gamepad; let go and it stops."""
+"""Drive a robot by keyboard or gamepad; let go and it stops."""
 
 import argparse
 import contextlib

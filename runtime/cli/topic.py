@@ -1,10 +1,11 @@
-"""Look at the topics of a running robot: list them, print messages, measure rate and delay."""
+"""List topics of a robot, print messages, measure rate and delay."""
 
 import argparse
 import sys
 import time
 from typing import TYPE_CHECKING, Any
 
+from runtime.cli.fitting import fitted
 from runtime.cli.parsing import number, whole_number
 from runtime.cli.which_robot import add_robot
 from runtime.errors import ConfigError
@@ -52,7 +53,7 @@ def _list(bus: Any, args: argparse.Namespace) -> int:
         those = [endpoint for endpoint in endpoints if endpoint.topic == name]
         publishers = ", ".join(sorted({e.node for e in those if e.kind == "MP"})) or "nobody"
         readers = ", ".join(sorted({e.node for e in those if e.kind == "MS"})) or "nobody"
-        print(f"{name:28} {those[0].type:44} {publishers} -> {readers}")
+        print(fitted(f"{name:28} {those[0].type:44} {publishers} -> {readers}", 4))
     return 0 if endpoints else 1
 
 

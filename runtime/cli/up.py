@@ -1,4 +1,7 @@
-"""Start the processes of a graph, show how they are, and keep what they leave."""
+"""Start a robot, show its processes, keep what they leave.
+
+The robot is a graph: demo, handheld, onboard, or a YAML file.
+"""
 
 import argparse
 import json
@@ -10,16 +13,14 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from runtime.cli.for_machines import print_json
 from runtime.cli.parsing import read_address
 from runtime.cli.stopping import asked_to_stop
+from runtime.cli.up_end import exit_code, in_short, save, say
 
 if TYPE_CHECKING:
     from runtime.graph import Graph
-    from runtime.supervision.child import Child
     from runtime.supervision.machines import Machine
     from runtime.supervision.run import Run
-    from runtime.supervision.supervisor import Event
 
 _TURN_S = 0.05
 _NOTIFY_S = 0.5
@@ -99,37 +100,21 @@ def _runs(args: argparse.Namespace, file: Path) -> int:
 
 def _run(args: argparse.Namespace, file: Path) -> int | None:
     """Run the graph once; None if that is to begin anew."""
-    from dataclasses import replace
-
     from runtime import graph as graphs
     from runtime import rundir
     from runtime.access import keys
     from runtime.bus.zenoh_bus import ZenohBus
     from runtime.cli.screen import Screen
     from runtime.config import to_yaml
-    from runtime.errors import ConfigError
     from runtime.process.realtime import is_watched
     from runtime.reports.results import check_free
     from runtime.supervision import machines
     from runtime.supervision.run import Run
 
-    if args.duration is not None and not args.duration > 0:
-        raise ConfigError(f"--duration = {args.duration:g}, must be more than 0 s")
-    graph = graphs.load(file)
-    changes = {key: getattr(args, key) for key in ("robot", "seed") if getattr(args, key) is not None}
-    try:
-        graph = replace(graph, **changes)
-    except ValueError as error:
-        raise ConfigError(f"--{error}") from error
     headless = args.headless or not graphs.has_screen()
-    if headless:
-        graph = graph.without_screen()
+    graph = _graph(args, file, headless)
     machine = machines.this_machine(graph, args.host)
-    if args.remote is not None and not machine.is_robot:
-        raise ConfigError(f"--remote: guests are let in on the robot's own machine, {machine.robots}")
-    remote = ""
-    if machine.is_robot and (args.remote is not None or machine.elsewhere):
-        remote = _door(args.remote or "0.0.0.0")
+    remote = _door(args.remote, machine)
     if args.service is None:  # under sudo the keys would be looked for in another home
         if remote:
             keys.authority(graph.robot)
@@ -158,26 +143,55 @@ def _run(args: argparse.Namespace, file: Path) -> int | None:
             machine=machine,
             open_bus=ZenohBus,
             on_event=lambda event: screen.say(
-                f"  {event.node}: {_in_short(live, event)}", ordinary=event.text in _ORDINARY
+                f"  {event.node}: {in_short(live, event)}", ordinary=event.text in _ORDINARY
             ),
         )
         try:
             asked = _drive(live, screen, args.duration)
         finally:
             live.close()
-        code = _exit_code(live, signal.SIGINT in asked)
-        report = _save(live, config, out, args, code)
+        code = exit_code(live, signal.SIGINT in asked)
+        report = save(live, config, out, args, code)
     screen.check_read()
-    _say(report, args.json)
+    say(report, args.json)
     # systemd, whose patience has ended with this run, begins a new one itself.
     anew = live.outlived and code == 0 and not asked and not is_watched()
     return None if anew else code
 
 
-def _door(address: str) -> str:
-    """Return address and port at which guests are let in."""
-    from runtime.access import keys
+def _graph(args: argparse.Namespace, file: Path, headless: bool) -> "Graph":
+    """Return the graph of a file as the options have it."""
+    from dataclasses import replace
 
+    from runtime import graph as graphs
+    from runtime.errors import ConfigError
+
+    if args.duration is not None and not args.duration > 0:
+        raise ConfigError(f"--duration = {args.duration:g}, must be more than 0 s")
+    graph = graphs.load(file)
+    changes = {key: getattr(args, key) for key in ("robot", "seed") if getattr(args, key) is not None}
+    try:
+        graph = replace(graph, **changes)
+    except ValueError as error:
+        raise ConfigError(f"--{error}") from error
+    return graph.without_screen() if headless else graph
+
+
+def _door(address: str | None, machine: "Machine") -> str:
+    """Return address and port at which guests are let in; empty if nobody is.
+
+    Args:
+        address: As it was asked for: empty for all addresses, None if it was not.
+        machine: This one; the robot's own lets those in that have a part of it.
+    """
+    from runtime.access import keys
+    from runtime.errors import ConfigError
+
+    if address is not None and not machine.is_robot:
+        raise ConfigError(f"--remote: guests are let in on the robot's own machine, {machine.robots}")
+    if not machine.is_robot or (address is None and not machine.elsewhere):
+        return ""
+    address = address or "0.0.0.0"
     return address if ":" in address else f"{address}:{keys.PORT}"
 
 
@@ -279,74 +293,6 @@ def _drive(live: "Run", screen: Any, duration_s: float | None) -> list[int]:
     return asked
 
 
-def _in_short(live: "Run", event: "Event") -> str:
-    """Return what happened, without the reason that ends the run: it is the last word, and said there."""
-    from runtime.supervision.child import State
-
-    child = live.supervisor.children.get(event.node)
-    ends_all = child is not None and child.state is State.FAILED and child.spec.required
-    return "failed, and ends the run" if ends_all else event.text
-
-
-def _reason(failed: "Child | None") -> str:
-    """Return why the run failed, and what to do where no robot is at hand; empty if it did not."""
-    if failed is None or not failed.reasons:
-        return ""
-    reason = f"{failed.name}: {failed.reasons[-1]}"
-    robot_missing = failed.spec.module == "base" and failed.exit_code == 3
-    return reason + " No robot? `hallway up handheld` maps with the laser alone." * robot_missing
-
-
-def _exit_code(live: "Run", interrupted: bool) -> int:
-    failed = live.supervisor.failed
-    if failed is not None:
-        return failed.exit_code or 1
-    return 130 if interrupted else 0
-
-
 def _resolved_config(graph: "Graph", resolved: dict[str, Any]) -> dict[str, Any]:
     nodes = {name: node["config"] for name, node in resolved.items()}
     return {"robot": graph.robot, "domain": graph.domain, "seed": graph.seed, "nodes": nodes}
-
-
-def _save(
-    live: "Run", config: dict[str, Any], out: Path, args: argparse.Namespace, code: int
-) -> dict[str, Any]:
-    from runtime.reports.folder import report_on
-    from runtime.reports.results import link_latest, provenance
-    from runtime.supervision.run import collect
-
-    about = {
-        **provenance(live.graph.seed),
-        "graph": args.graph,
-        **live.summary(),
-        "exit_code": code,
-        "finished": True,
-    }
-    about["events"] = [f"{e.stamp_ns} {e.node}: {e.text}" for e in live.events]
-    metrics = collect(out, list(live.graph.nodes), about, config)
-    report_on(out, f"{live.graph.robot}, {args.graph}")
-    if args.out is None:
-        link_latest(out)
-    reason = _reason(live.supervisor.failed)
-    return {"out": str(out), "exit_code": code, "reason": reason, **live.summary(), "metrics": metrics}
-
-
-def _say(report: dict[str, Any], as_json: bool) -> None:
-    if report["reason"]:
-        print(f"hallway up: {report['reason']}", file=sys.stderr)
-    if as_json:
-        print_json(report)
-        return
-    latency = report["metrics"].get("latency", {})
-    scans, mapped = latency.get("scans", 0), latency.get("mapped", 0)
-    if scans:
-        late = f", {latency['late']} too late" if latency.get("late") else ""
-        print(f"used {mapped} of {scans} scans{late}")
-    for name, process in report["processes"].items():
-        told = report["reason"].startswith(f"{name}: ")
-        if process["restarts"] or (process["state"] == "failed" and not told):
-            last = "" if told else f", last: {process['reasons'][-1]}"
-            print(f"{name}: {process['restarts']} restarts{last}")
-    written = sorted(p.name for p in Path(report["out"]).iterdir() if p.is_file())
-    print(f"{report['out']}/: {', '.join(written)}")

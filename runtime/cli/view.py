@@ -1,4 +1,7 @@
-"""Look at a running robot, here or paired, or at a recording: map, scan, path, particles, states, latency."""
+"""Look at a robot or a recording: map, scan, path, states.
+
+The robot may run here, or elsewhere if this machine was paired with it.
+"""
 
 import argparse
 import os

@@ -93,26 +93,47 @@ def render(
         cells = _extent(probability, resolution_m, origin_m, (path, path_truth, points, *guessed), margin_m)
     else:
         cells = (np.array(bounds_m).reshape(2, 2) - origin_m)[:, ::-1] / resolution_m
-    window, corner_m = _window(probability, resolution_m, origin_m, cells)
-    shrink = max(1, -(-max(window.shape) // size_px))
-    window = _coarse(window, shrink)
-    colours = _colours(window)
     kept = keep_out if keep_out is not None and keep_out.any() else None
-    if kept is not None:
-        shown = np.where(kept, np.float32(1.0), np.float32(np.nan))
-        shown, _ = _window(shown, resolution_m, origin_m, cells)
-        colours = _tinted(colours, ~np.isnan(_coarse(shown, shrink)))
-    cell_px = max(1, size_px // max(window.shape))
-    ground = Image.fromarray(colours[::-1])
-    rows, cols = window.shape
-    canvas = ground.resize((cols * cell_px * _FINE, rows * cell_px * _FINE), Image.Resampling.NEAREST)
-    frame = _Frame(corner_m, cell_px * _FINE / (resolution_m * shrink), canvas.height)
+    canvas, frame = _ground(probability, resolution_m, origin_m, cells, kept, size_px)
     draw = ImageDraw.Draw(canvas)
     for way in guessed:
         if len(way) > 1:
             draw.line(frame.px(way), fill=GUESSES, width=_FINE)
     _draw_paths(draw, frame, path, path_truth, points, hit_px * _FINE)
     return _with_legend(canvas, frame, caption, marked=len(path) > 0, kept=kept is not None)
+
+
+def _ground(
+    probability: NDArray[np.float32],
+    resolution_m: float,
+    origin_m: tuple[float, float],
+    cells: NDArray[np.float64],
+    kept: NDArray[np.bool_] | None,
+    size_px: int,
+) -> tuple[Image.Image, _Frame]:
+    """Draw the cells in a window, finely, and say where in the map they lie; see `render`.
+
+    Args:
+        probability: (rows, cols).
+        resolution_m: Edge of a cell.
+        origin_m: Lower left corner of cell (0, 0), map frame.
+        cells: (2, 2) least and greatest row and column of the window.
+        kept: (rows, cols) ground to keep out of, if there is any.
+        size_px: Longest side of the window in the picture.
+    """
+    window, corner_m = _window(probability, resolution_m, origin_m, cells)
+    shrink = max(1, -(-max(window.shape) // size_px))
+    window = _coarse(window, shrink)
+    colours = _colours(window)
+    if kept is not None:
+        shown = np.where(kept, np.float32(1.0), np.float32(np.nan))
+        shown, _ = _window(shown, resolution_m, origin_m, cells)
+        colours = _tinted(colours, ~np.isnan(_coarse(shown, shrink)))
+    cell_px = max(1, size_px // max(window.shape))
+    rows, cols = window.shape
+    size = (cols * cell_px * _FINE, rows * cell_px * _FINE)
+    canvas = Image.fromarray(colours[::-1]).resize(size, Image.Resampling.NEAREST)
+    return canvas, _Frame(corner_m, cell_px * _FINE / (resolution_m * shrink), canvas.height)
 
 
 def png(image: Image.Image) -> bytes:

@@ -84,7 +84,9 @@ def test_cheap_calls_do_what_the_pages_promise():
 
 def test_every_link_of_a_page_leads_somewhere():
     for name, page in PAGES.items():
-        for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", prose_of(page)):
+        prose = prose_of(page)
+        links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", prose) + re.findall(r'<img src="([^"]+)"', prose)
+        for target in links:
             if not target.startswith(("http://", "https://")):
                 assert (page.parent / target).is_file(), f"{name}: {target}"
 

@@ -38,6 +38,16 @@ def test_help_lists_the_verbs_that_are_there(capsys, verb):
     assert "exit codes: 0 good" in out
 
 
+@pytest.mark.parametrize("name", [name for name in cli.VERBS if name != "completion"])
+def test_every_verb_has_one_line_in_the_help_of_a_narrow_terminal(name, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        cli.main(["--help"])
+    lines = capsys.readouterr().out.splitlines()
+    first = cli.about(name).splitlines()[0]
+    assert any(line.split(maxsplit=1) == [name, first] for line in lines)
+
+
 def test_a_verb_that_cannot_be_imported_breaks_no_other(capsys, verb):
     verb("return 0", top="import a_library_that_is_not_there")
     with pytest.raises(SystemExit) as ended:
@@ -127,6 +137,8 @@ def test_an_unknown_option_is_said_under_the_usage_of_its_verb(verb, capsys):
         ("logs -n -5", "argument -n/--lines: -5, must be at least 0"),
         ("doctor --seconds x", "argument --seconds: 'x', must be a number"),
         ("map a.log b.log", "unrecognized arguments: b.log\n"),
+        ("config", "are required: ACTION; `hallway config --help` lists what it may be"),
+        ("up", "are required: graph; `hallway up --help` lists what it may be"),
     ],
 )
 def test_a_word_is_taken_whole_or_refused_with_the_nearest_one(words, said, capsys):
@@ -161,7 +173,7 @@ def test_no_verb_at_all_is_a_usage_error_that_shows_the_verbs(capsys):
     assert cli.main([]) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert "Start the processes of a graph" in err
+    assert "Start a robot" in err
 
 
 def test_help_needs_nothing_heavy():

@@ -29,7 +29,7 @@ def complete(script, *words):
 
 
 def test_every_installed_verb_is_offered(known):
-    there = [verb for verb in cli.VERBS if cli.help_of(verb) is not None]
+    there = [verb for verb in cli.VERBS if cli.about(verb) is not None]
     offered = complete(completion.bash(known), "hallway", "")
     assert set(there) <= set(offered)
     assert {"up", "map", "view", "completion"} <= set(offered)

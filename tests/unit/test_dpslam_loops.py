@@ -9,9 +9,11 @@ from drivers.world import Building, outline
 from drivers.world.drive import simulate_scans
 from drivers.world.generators import corridor, square_of_corridors
 from drivers.world.laser import Sick, bearings
-from processing.dpslam import loops as loops_module
+from processing.dpslam import old_ground
 from processing.dpslam.loop_config import LoopConfig
 from processing.dpslam.loops import Loops
+from processing.dpslam.old_ground import OldGround
+from processing.dpslam.way import Way
 from processing.se2 import between, compose, invert, transform
 
 KEY_M, KEY_RAD = 0.3, 0.25
@@ -59,7 +61,7 @@ def follow(keys, motions, covariance=None):
     """Run the loops over a single lineage; the path as it was without them, and as they left it."""
     loops, alone = Loops(LoopConfig()), np.zeros((1, 3))
     for k, (points, _) in enumerate(keys):
-        path = loops.path
+        path = loops.way.path
         new = np.zeros(3) if k == 0 else compose(path[-1], motions[k])
         if k:
             alone = np.vstack((alone, compose(alone[-1], motions[k])))
@@ -85,7 +87,7 @@ def test_a_loop_takes_the_drift_out_of_the_whole_path(round_the_block):
     assert worst(alone, round_the_block) > 1.0
     assert loops.closures >= 1
     assert loops.linked
-    smoothed = loops.smoothed()
+    smoothed = loops.way.smoothed()
     assert len(smoothed) == len(round_the_block)
     assert worst(smoothed, round_the_block) < 0.4
 
@@ -96,10 +98,10 @@ def test_ground_is_old_only_when_something_lies_behind_and_the_laser_is_on_it(ro
     assert not loops.on_settled_map
     old = []
     for k, (points, _) in enumerate(round_the_block):
-        new = np.zeros(3) if k == 0 else compose(loops.path[-1], motions[k])
-        loops.step(motions[k], np.zeros((3, 3)), points, np.vstack((loops.path, new)))
+        new = np.zeros(3) if k == 0 else compose(loops.way.path[-1], motions[k])
+        loops.step(motions[k], np.zeros((3, 3)), points, np.vstack((loops.way.path, new)))
         old.append(loops.on_settled_map)
-    behind = np.array(loops.way_m) > LoopConfig().reach_m
+    behind = np.array(loops.way.lengths_m) > LoopConfig().reach_m
     assert not any(np.array(old)[~behind])
     # On the second way round the laser is where it was, once it has been found there.
     assert not all(old)
@@ -108,12 +110,12 @@ def test_ground_is_old_only_when_something_lies_behind_and_the_laser_is_on_it(ro
 
 def test_a_path_without_drift_is_not_bent(round_the_block):
     loops, _ = follow(round_the_block, drifting(round_the_block, 0.0, 0.0))
-    assert worst(loops.smoothed(), round_the_block) < 0.06
+    assert worst(loops.way.smoothed(), round_the_block) < 0.06
 
 
 def test_the_same_steps_give_the_same_bits(round_the_block):
     motions = drifting(round_the_block, -0.001, 0.003)
-    first, second = (follow(round_the_block, motions)[0].smoothed() for _ in range(2))
+    first, second = (follow(round_the_block, motions)[0].way.smoothed() for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 
@@ -125,9 +127,9 @@ def test_restored_goes_on_as_if_never_interrupted(round_the_block, cut):
     again = Loops(LoopConfig())
     again.restore(part.state())
     for k in range(cut, len(round_the_block)):
-        path = np.vstack((again.path, compose(again.path[-1], motions[k])))
+        path = np.vstack((again.way.path, compose(again.way.path[-1], motions[k])))
         again.step(motions[k], np.zeros((3, 3)), round_the_block[k][0], path)
-    np.testing.assert_array_equal(again.path, whole.path)
+    np.testing.assert_array_equal(again.way.path, whole.way.path)
     assert again.closures == whole.closures
 
 
@@ -136,8 +138,8 @@ def test_restored_amid_a_search_goes_on_with_it(round_the_block):
     whole, _ = follow(round_the_block, motions)
     again, amid = Loops(LoopConfig()), 0
     for k, (points, _) in enumerate(round_the_block):
-        new = np.zeros(3) if k == 0 else compose(again.path[-1], motions[k])
-        again.step(motions[k], np.zeros((3, 3)), points, np.vstack((again.path, new)))
+        new = np.zeros(3) if k == 0 else compose(again.way.path[-1], motions[k])
+        again.step(motions[k], np.zeros((3, 3)), points, np.vstack((again.way.path, new)))
         written = again.state()
         if "closing.cloud" in written:
             amid += 1
@@ -145,16 +147,16 @@ def test_restored_amid_a_search_goes_on_with_it(round_the_block):
             again.restore(written)
     assert amid > 10
     assert again.closures == whole.closures
-    np.testing.assert_array_equal(again.path, whole.path)
+    np.testing.assert_array_equal(again.way.path, whole.way.path)
 
 
 def test_a_search_that_is_under_way_when_the_drive_ends_is_brought_to_its_end(round_the_block):
     motions = drifting(round_the_block, 0.001, 0.004)
     loops = Loops(LoopConfig())
     for k, (points, _) in enumerate(round_the_block):
-        new = np.zeros(3) if k == 0 else compose(loops.path[-1], motions[k])
+        new = np.zeros(3) if k == 0 else compose(loops.way.path[-1], motions[k])
         before = loops.closures
-        loops.step(motions[k], np.zeros((3, 3)), points, np.vstack((loops.path, new)))
+        loops.step(motions[k], np.zeros((3, 3)), points, np.vstack((loops.way.path, new)))
         if loops.closures > before:
             break
         written = loops.state()
@@ -170,7 +172,7 @@ def test_a_search_that_is_under_way_when_the_drive_ends_is_brought_to_its_end(ro
 @pytest.mark.parametrize("sides_count", [True, False])
 def test_the_room_next_door_is_not_home_though_their_wall_is_one(monkeypatch, sides_count):
     if not sides_count:
-        monkeypatch.setattr(loops_module, "MOST_BEHIND", 1.0)
+        monkeypatch.setattr(old_ground, "MOST_BEHIND", 1.0)
     corridor_m, doors = (0.0, 0.0, 12.0, 2.0), ((3.5, 2.0, 4.5, 2.2), (7.5, 2.0, 8.5, 2.2))
     rooms = (2.0, 2.2, 5.9, 12.2), (6.1, 2.2, 10.0, 12.2)
     building = Building(outline([corridor_m, *doors, *rooms]))
@@ -179,7 +181,7 @@ def test_the_room_next_door_is_not_home_though_their_wall_is_one(monkeypatch, si
     loops, _ = follow(keys, drifting(keys, 0.0, 0.0))
     assert loops.closures > 0
     # Else it is off by the thickness of the wall.
-    assert (worst(loops.smoothed(), keys) < 0.1) == sides_count
+    assert (worst(loops.way.smoothed(), keys) < 0.1) == sides_count
 
 
 def test_a_plain_corridor_is_nobodys_place():
@@ -190,7 +192,7 @@ def test_a_plain_corridor_is_nobodys_place():
     blind = np.diag((0.05**2, 1e-4, 1e-6))
     loops, alone = follow(keys, drifting(keys, 0.0, 0.02), blind)
     assert loops.closures == 0
-    np.testing.assert_array_equal(loops.path, alone)
+    np.testing.assert_array_equal(loops.way.path, alone)
 
 
 @pytest.mark.parametrize(("along_m", "held"), [(0.1, False), (0.01, True)])
@@ -206,9 +208,9 @@ def test_in_a_corridor_old_ground_holds_along_only_what_the_odometry_saw(along_m
     state["flags"][[0, 3]] = True, 0
     loops.restore(state)
     for k in range(back, len(keys)):
-        path = np.vstack((loops.path, compose(loops.path[-1], motions[k])))
+        path = np.vstack((loops.way.path, compose(loops.way.path[-1], motions[k])))
         loops.step(motions[k], covariance, keys[k][0], path)
-    known = loops.places.informations.rows
+    known = loops.way.places.informations.rows
     deviations = 1.0 / np.sqrt(np.diagonal(known, axis1=1, axis2=2))
     assert len(deviations) > 20
     assert (np.median(deviations[:, 0]) < 0.5) == held
@@ -224,19 +226,21 @@ def test_a_setting_out_of_its_range_is_refused(name, value):
 def test_a_place_is_tied_to_who_saw_its_walls_and_not_to_who_stood_nearest():
     wall = np.column_stack((np.full(60, 12.0), np.linspace(-3.0, 3.0, 60)))
     elsewhere = np.column_stack((np.linspace(-8.0, -2.0, 60), np.full(60, -6.0)))
-    loops = Loops(LoopConfig())
+    way = Way()
+    ground = OldGround(way, LoopConfig())
     for k in range(40):
         # Two stretches of way: one sees the wall from afar, the other stands before it and does not.
         at = (0.1 * k, 0.0, 0.0) if k < 20 else (9.0 + 0.05 * k, 0.0, np.pi)
-        loops.path = np.vstack((loops.path, at))
-        loops._way_m.append(0.1 * k if k < 20 else 100.0 + 0.05 * k)
-        loops._settled = k + 1
-        points = wall if k < 20 else elsewhere
-        loops._map.add(between_points(at, points), np.array(at))
+        points = between_points(at, wall if k < 20 else elsewhere)
+        step_m = 0.1 if k != 20 else 100.0
+        way.go_on(np.array((step_m, 0.0, 0.0)), np.eye(3), points)
+        way.path = np.vstack((way.path, at))
+        ground.map.add(points, np.array(at))
+        ground.keys = k + 1
     here = np.array((10.0, 0.0, 0.0))
-    assert loops._seen_by(between_points(here, wall), here) == 19
-    assert loops._seen_by(between_points(here, elsewhere), here) == 20
-    assert loops._seen_by(between_points(here, wall + 50.0), here) is None
+    assert ground.witness(between_points(here, wall), here) == 19
+    assert ground.witness(between_points(here, elsewhere), here) == 20
+    assert ground.witness(between_points(here, wall + 50.0), here) is None
 
 
 def between_points(map_t_laser, points_map):

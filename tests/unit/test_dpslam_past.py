@@ -79,12 +79,14 @@ def test_a_rebuilt_map_is_the_map(mapped, past):
     assert np.array_equal(seen.probability, drawn.probability, equal_nan=True)
     for one, other in zip(mapped.trajectory(), again.trajectory(), strict=True):
         assert np.array_equal(one, other)
-    assert [len(points) for points in mapped.loops.points] == [len(points) for points in again.loops.points]
+    assert [len(points) for points in mapped.loops.way.points] == [
+        len(points) for points in again.loops.way.points
+    ]
 
 
 def test_what_is_held_is_told_with_the_points_by_which_places_are_found_again(mapped, past):
-    points = sum(one.nbytes for one in mapped.loops.points)
-    assert mapped.loops.bytes_used == rebuild(past, CONFIG).loops.bytes_used == points > 0
+    points = sum(one.nbytes for one in mapped.loops.way.points)
+    assert mapped.loops.way.bytes_used == rebuild(past, CONFIG).loops.way.bytes_used == points > 0
     without = mapped.population.store.bytes_held + mapped._scans.bytes_used
     assert mapped.bytes_held == without + points
 

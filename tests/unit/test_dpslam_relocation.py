@@ -148,13 +148,13 @@ def test_the_map_may_be_contradicted_where_the_path_is_known_only():
     assert slam._is_located()
     slam.loops.linked = False
     assert slam._is_located()
-    slam.loops._drift.go_on(np.zeros((3, 3)), np.zeros(3))
-    slam.loops._drift.errors.rows[-1] = np.diag((0.01, 1.0, 0.001))
+    slam.loops.way.drift.go_on(np.zeros((3, 3)), np.zeros(3))
+    slam.loops.way.drift.errors.rows[-1] = np.diag((0.01, 1.0, 0.001))
     assert not slam._is_located()
     # Old ground is where something has settled, and the laser is on it.
     slam.loops.linked = True
     assert not slam._is_located()
-    slam.loops._settled = 1
+    slam.loops._old.keys = 1
     assert slam._is_located()
 
 

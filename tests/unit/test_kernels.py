@@ -83,7 +83,7 @@ TWINS = {
     },
     "saliency_kernels": {
         "end_points": "property/test_scan_inputs.py::test_the_compiled_end_points_are_the_plain_ones",
-        "resample": "unit/test_kernels.py::test_the_means_are_those_of_the_plain_resampling",
+        "": "unit/test_kernels.py::test_the_means_are_those_of_the_plain_resampling",
     },
     "wide_match_kernels": {
         "blur": "unit/test_kernels.py::test_a_blurred_cell_is_the_bell_of_the_nearest_point",

@@ -188,7 +188,7 @@ def test_text_from_outside_is_text_and_no_markup():
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_a_run_of_hardly_a_scan_is_a_page_too(count):
-    read(page(run(count, resampled=np.zeros(count, dtype=bool))))
+    assert "Map" in read(page(run(count, resampled=np.zeros(count, dtype=bool)))).text
 
 
 def test_a_run_without_the_rest_is_map_and_states_alone():

@@ -11,6 +11,27 @@ WHOLE = "whole pipeline"
 MATCHER = "matcher alone"
 PAPER = "the paper's chain"
 
+ABOUT = {
+    WHOLE: "matcher and mapper as they come",
+    MATCHER: "no map but the local one; the rows from 'without de-skew' on are this, with one change",
+    "DP-SLAM without loops": "fifty particles, but the path is not bent where the laser comes back",
+    "one particle, without loops": "the same with one map",
+    "without de-skew": "all rays of a sweep are taken to be of one moment",
+    "every point, no resampling": "682 points are matched in place of some 134",
+    "no evolution, Newton alone": "Newton's method, begun where the velocity so far puts the laser",
+    "no Newton, evolution alone": "the best member of differential evolution is the answer",
+    "evolution with the paper's Table 1": "100 members, 50 generations, F 1, CR 0.95; then Newton",
+    "a point weighs 1": "in place of 0.4: as if neighbouring points did not err alike",
+    "wide cells only": "without the cells of half the width",
+    "walls not filled in": "nothing is added between two rays that met one wall",
+    "flat cells as they are": "a cell on a wall holds along the wall, too, as far as its few points reach",
+    "a reference of resampled points": "the local map has the points that were matched, not all",
+    "against the last key scan": "in place of the local map of the last forty",
+    "against the previous scan": "the same with the scan before",
+    PAPER: "previous scan, resampled points, wide cells as they are, Table 1, no Newton",
+}
+"""What each of the variants is, in words."""
+
 
 def variants() -> dict[str, OdometryConfig | SlamConfig]:
     """Return the configurations to compare, by what they leave out; the first two leave out nothing of it."""

@@ -1,6 +1,7 @@
 """The tables of the study (settings, each building, what each stage is worth, logs) and its figures."""
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,26 +12,39 @@ from runtime.cli.study import stages
 from runtime.cli.study.document import Block, Figure, Heading, Table, Words
 from runtime.cli.study.work import HURRY, Numbers
 
-Columns = Sequence[tuple[str, str, str]]
-_FOLLOWED: Columns = (
-    ("match_mm", "each match, mm", "{:.1f}"),
-    ("ahead_mm", "along, mm", "{:.1f}"),
-    ("aside_mm", "across, mm", "{:.1f}"),
-    ("match_deg", "turn, deg", "{:.2f}"),
-    ("stretch_mm", "over 1 m, mm", "{:.0f}"),
-    ("ate_m", "whole way, m", "{:.3f}"),
-    ("max_m", "greatest, m", "{:.3f}"),
-    ("lost", "lost", "{:.0f}"),
-    ("degenerate", "one direction unseen", "{:.0f}"),
-    ("ms", "ms a scan", "{:.1f}"),
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a table: the key of its numbers, its title, how they are written, and what they are."""
+
+    key: str
+    title: str
+    form: str
+    about: str
+
+
+_STATES = (
+    Column("lost", "lost", "{:.0f}", "scans that fitted nowhere"),
+    Column("degenerate", "one direction unseen", "{:.0f}", "scans whose state is DEGENERATE"),
+    Column("ms", "ms a scan", "{:.1f}", "CPU time of one core, mean"),
 )
-_LOGGED: Columns = (
-    ("scans", "scans", "{:.0f}"),
-    ("entropy", "entropy of the map, nat", "{:.3f}"),
-    ("conflict", "rays through walls, %", "{:.2%}"),
-    ("lost", "lost", "{:.0f}"),
-    ("degenerate", "one direction unseen", "{:.0f}"),
-    ("ms", "ms a scan", "{:.1f}"),
+_FOLLOWED = (
+    Column("match_mm", "each match, mm", "{:.1f}", "error of the motion from one sweep to the next"),
+    Column("ahead_mm", "along, mm", "{:.1f}", "its part along the laser's heading"),
+    Column("aside_mm", "across, mm", "{:.1f}", "its part across that"),
+    Column("match_deg", "turn, deg", "{:.2f}", "its rotation"),
+    Column("stretch_mm", "over 1 m, mm", "{:.0f}", "error of the motion over a metre of way"),
+    Column("ate_m", "whole way, m", "{:.3f}", "error of the positions, the whole way laid on the true one"),
+    Column("max_m", "greatest, m", "{:.3f}", "the greatest of these errors"),
+    *_STATES,
+)
+_LOGGED = (
+    Column("scans", "scans", "{:.0f}", "of the log"),
+    Column("entropy", "entropy of the map, nat", "{:.3f}", "mean of its cells: the lower, the crisper"),
+    Column(
+        "conflict", "rays through walls", "{:.2%}", "end points in cells that more rays crossed than ended in"
+    ),
+    *_STATES,
 )
 _FIGURES = (
     (
@@ -110,6 +124,10 @@ def page(
             _table(_means(buildings, compared or buildings), "pipeline", _FOLLOWED),
             Words(f"The same drives {HURRY} times as fast: only every {HURRY}th sweep is seen."),
             _table(_means(hurried, compared or buildings), "pipeline", _FOLLOWED),
+            Heading("What the rows are"),
+            Table(("pipeline", "what is different"), list(stages.ABOUT.items())),
+            Heading("What the columns are"),
+            _key_to(_FOLLOWED),
         ]
     for name, numbers in logs.items():
         parts += [
@@ -117,6 +135,8 @@ def page(
             Words("Nobody knows the truth; low entropy and few rays through walls are a crisp map."),
             _table({variant: numbers[variant] for variant in stages.of_a_log()}, "pipeline", _LOGGED),
         ]
+    if logs:
+        parts += [Heading("What the columns of a log are"), _key_to(_LOGGED)]
     return parts
 
 
@@ -176,6 +196,10 @@ def _settings() -> Table:
     return Table(("", "paper", "Hallway"), rows)
 
 
+def _key_to(columns: Sequence[Column]) -> Table:
+    return Table(("column", "what it is"), [(column.title, column.about) for column in columns])
+
+
 def _means(numbers: Mapping[str, Numbers], names: Collection[str]) -> Numbers:
     return {variant: _mean([numbers[name][variant] for name in names]) for variant in stages.variants()}
 
@@ -185,10 +209,11 @@ def _mean(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
     return {key: float((np.sum if key in sums else np.mean)([row[key] for row in rows])) for key in rows[0]}
 
 
-def _table(rows: Mapping[str, Mapping[str, Any]], first: str, columns: Columns) -> Table:
-    titles = (first, *(title for _, title, _ in columns))
+def _table(rows: Mapping[str, Mapping[str, Any]], first: str, columns: Sequence[Column]) -> Table:
+    titles = (first, *(column.title for column in columns))
     return Table(
-        titles, [(name, *(_cell(row[key], form) for key, _, form in columns)) for name, row in rows.items()]
+        titles,
+        [(name, *(_cell(row[column.key], column.form) for column in columns)) for name, row in rows.items()],
     )
 
 
