@@ -146,14 +146,14 @@ def drift_of(covariance: Matrix, motion: Pose, points: Points, config: LoopConfi
     if reach_m > 0.0:
         turn_rad = min(turn_rad, aside_m / min(reach_m, STEADYING_M))
     turn_rad += config.drift_rad_per_m * abs(float(motion[2]))
-    claimed = np.minimum(covariance, MOST_VARIANCE)
-    along, axes = np.linalg.eigh(claimed[:2, :2])
+    along, axes = np.linalg.eigh(covariance[:2, :2])
     drift: Matrix = np.diag((aside_m**2, aside_m**2, turn_rad**2))
     drift[:2, :2] += (axes * _unseen(along, WIDE_M)) @ axes.T
-    drift[2:, 2] += _unseen(claimed[2:, 2], WIDE_RAD)
+    drift[2:, 2] += _unseen(covariance[2:, 2], WIDE_RAD)
     return drift
 
 
 def _unseen(variance: NDArray[np.float64], wide: float) -> NDArray[np.float64]:
     """Return what of variances is not seen: nearly all of the wider ones, nearly nothing of narrow ones."""
+    variance = np.clip(variance, 0.0, MOST_VARIANCE)
     return np.asarray(np.square(variance) / (variance + wide**2))

@@ -52,3 +52,15 @@ def test_far_points_hold_the_heading():
 
 def test_a_motion_of_which_nothing_is_known_does_not_open_the_whole_world():
     assert (deviations(np.diag((1e6, 1e6, 1e6)), around(1.0)) < 1.01 * np.sqrt(MOST_VARIANCE)).all()
+
+
+@pytest.mark.parametrize("bearing_rad", [0.0, 0.5, np.pi / 4, 2.0])
+def test_a_motion_that_is_wide_open_along_a_slanting_corridor_is_known_across_it(bearing_rad):
+    along = np.array((np.cos(bearing_rad), np.sin(bearing_rad)))
+    across = np.array((-along[1], along[0]))
+    claimed = np.zeros((3, 3))
+    claimed[:2, :2] = 5.0**2 * np.outer(along, along) + 0.01**2 * np.outer(across, across)
+    drift = drift_of(claimed, AHEAD, around(1.0), LoopConfig())
+    assert np.linalg.eigvalsh(drift).min() > 0.0
+    assert along @ drift[:2, :2] @ along == pytest.approx(MOST_VARIANCE, rel=0.01)
+    assert np.sqrt(across @ drift[:2, :2] @ across) < 0.01
