@@ -7,9 +7,9 @@ position and mean of rotation after the best rigid alignment. A map is good if i
 the course and no single error is above five times that bound or 0.3 m, whichever is greater.
 
 A variation of a log is another log with the same truth: `backwards` (the film from its end, in a mirror),
-`near` (a laser that sees 8 m), `halved` (every second ray), `thinned` (every second scan), `holed`
-(twelve times a second is missing), `later` (from its middle on). Of a `floor`, and of a `campus`, every seed
-is another building.
+`near` (a laser that sees 8 m), `halved` (every second ray), `patchy` (four tenths of the rays of each scan
+come back with nothing), `thinned` (every second scan), `holed` (twelve times a second is missing), `later`
+(from its middle on). Of a `floor`, and of a `campus`, every seed is another building.
 """
 
 import argparse
@@ -33,6 +33,7 @@ from processing.slam import Slam, SlamConfig
 from runtime.nodes.log_scans import by_stamps
 
 NEAR_M = 8.0
+DARK_SHARE = 0.4
 HOLES, HOLE = 12, 5
 """So many holes of so many scans, at random places."""
 LARGEST_SHARE, LARGEST_M = 5.0, 0.3
@@ -159,6 +160,16 @@ def _picked(drive: Drive, kept: np.ndarray) -> Drive:
     return replace(drive, scans=scans, pairs=pairs[whole], a_t_b=drive.a_t_b[whole])
 
 
+def _patchy(drive: Drive) -> Drive:
+    rng = np.random.default_rng(8)
+    scans = []
+    for scan in drive.scans:
+        ranges_m = scan.ranges_m.copy()
+        ranges_m[rng.random(len(ranges_m)) < DARK_SHARE] = np.nan
+        scans.append(Scan(scan.stamp_ns, ranges_m, scan.beams))
+    return replace(drive, scans=scans)
+
+
 def _thinned(drive: Drive) -> Drive:
     picked = _picked(drive, np.arange(0, len(drive.scans), 2))
     beams = drive.scans[0].beams
@@ -203,6 +214,8 @@ COURSES: dict[str, Callable[[int], Drive | None]] = {
     "fr079 near": _log("fr079", 0.06, _near),
     "fr079 halved": _log("fr079", 0.06, _halved),
     "intel halved": _log("intel", 0.035, _halved),
+    "intel patchy": _log("intel", 0.035, _patchy),
+    "fr079 patchy": _log("fr079", 0.06, _patchy),
     "intel thinned": _log("intel", 0.035, _thinned),
     "fr079 thinned": _log("fr079", 0.06, _thinned),
     "fr079 holed": _log("fr079", 0.06, _holed),
