@@ -162,7 +162,7 @@ class Recovery:
         best = max(found, key=lambda matching: matching.score)
         sight = sight_of(points, best.pose, keys)
         least = AGAIN * usual * max(sight.known, LEAST_KNOWN)
-        if best.score < least or not (sight.possible or self._is_expected(best.pose)):
+        if best.score < least or not (sight.possible or self.is_expected(best.pose)):
             return None
         alike = near.score >= least and near.score >= NEARLY * best.score
         if self.since_s < MOMENT_S and self._seeing_s == 0.0 and alike:
@@ -172,7 +172,7 @@ class Recovery:
         rivals = [other for other in found if _apart(best.pose, other.pose)]
         return None if any(other.score > ALIKE * best.score for other in rivals) else best
 
-    def _is_expected(self, pose: Pose) -> bool:
+    def is_expected(self, pose: Pose) -> bool:
         """Whether the motion alone may have led to a pose (3,) since the last good scan."""
         if self._seeing_s > 0.0:
             return False

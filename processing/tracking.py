@@ -197,6 +197,11 @@ class Watch:
         found = recovery.look(points, near, matcher, reference, keys, self._usual, self._duration_s)
         if found is None:
             return near, False
+        hole = self._duration_s > LOST_S and recovery.since_s == self._duration_s
+        if hole and recovery.is_expected(found.pose):
+            # Nothing was seen that did not fit, and it is where the motion led.
+            self._good(found.score)
+            return found, True
         recovery.arrive(filter_, found.pose)
         return found, False
 

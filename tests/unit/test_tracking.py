@@ -205,6 +205,28 @@ def test_where_the_motion_may_have_led_in_a_hole_a_scan_is_found_that_the_map_ha
     assert np.abs(place.pose - truth).max() < 0.02
 
 
+@pytest.mark.parametrize(
+    ("hole_s", "truth", "found"),
+    [
+        (1.3, (0.3, -0.2, 0.5), True),  # where the motion may have led in a hole: nothing to try
+        (0.1, (0.1, 0.0, 0.0), False),  # no hole: why did it not fit?
+        (0.5, (1.0, 0.0, 0.0), False),  # farther than it could get
+    ],
+)
+def test_who_is_found_after_a_hole_where_the_motion_led_is_not_lost(hole_s, truth, found):
+    matcher, reference = Matcher(MatchingConfig(), 1), Ndt(NdtConfig())
+    reference.build(corner())
+    keys = [KeyScan(np.zeros(3), corner(), np.zeros_like(corner()))]
+    points = np.ascontiguousarray(transform(invert(np.array(truth)), corner()))
+    usual = matcher.match(points, reference, Prior(np.array(truth), np.diag((1e4, 1e4, 1e4)))).score
+    watch, filter_ = watch_of(URG_S, usual), ConstantVelocity(PredictionConfig())
+    near = matcher.match(points, reference, watch.expect(filter_, hole_s), np.array((0.02, 0.02, 0.02)))
+    place, fits = watch.find(points, near, filter_, matcher, reference, keys)
+    assert np.abs(place.pose - truth).max() < 0.02
+    assert fits == found
+    assert watch.trying != found
+
+
 def test_a_hand_before_the_laser_and_a_few_points_are_no_view():
     ring = 0.08 * np.column_stack((np.cos(np.arange(100.0)), np.sin(np.arange(100.0))))
     assert covered(ring)
