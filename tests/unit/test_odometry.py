@@ -143,6 +143,23 @@ def test_covered_for_a_moment_in_a_plain_corridor_it_goes_on_and_does_not_know_h
     assert abs(off(matches[again], matches[99], se2.between(truth[99], truth[again]))[1]) < 0.03
 
 
+def out_of_sight(x):
+    """Poses of a laser that turns away from the end of a corridor, drives off to x, and turns back to it."""
+    turn = np.linspace(0.0, np.pi, 26)
+    at = np.concatenate((np.full(38, 3.0), np.linspace(3.0, x, 9)[1:], np.full(31, x)))
+    yaw = np.concatenate((np.zeros(8), turn, np.full(12, np.pi), np.pi + turn, np.full(5, 2.0 * np.pi)))
+    return np.column_stack((at, np.ones_like(at), np.pi + yaw))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_who_sets_out_unseen_after_a_turn_on_the_spot_is_found_when_something_comes_into_sight(seed):
+    poses = out_of_sight(3.3)
+    matches = follow(standing(corridor(30.0), poses, seed), seed)
+    assert [match.state for match in matches[36:40]] == [Tracking.DEGENERATE] * 4
+    assert matches[-1].state is Tracking.TRACKING
+    assert off(matches[-1], matches[0], se2.between(poses[0], poses[-1]))[0] < 0.05
+
+
 def along_a_corridor(person, **how):
     """True poses and matches of a drive out of a room along a plain corridor in which somebody walks."""
     start, end, speed_mps = person
