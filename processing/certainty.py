@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from processing.certainty_kernels import spreads
 from processing.matching import Matching
-from processing.ndt import Ndt, Points
+from processing.ndt import Ndt, Oriented, Points, oriented
 from processing.prediction import Twist, turned
 from processing.scan import Scan
 
@@ -69,7 +69,7 @@ class Certainty:
         self,
         scan: Scan,
         rays: int,
-        points: Points,
+        points: Points | Oriented,
         matching: Matching,
         reference: Ndt,
         twists: tuple[Twist, Twist],
@@ -80,7 +80,7 @@ class Certainty:
         Args:
             scan: The newest.
             rays: How many of its rays have a point.
-            points: (N, 2) their means that were matched, N >= 1.
+            points: (N, 2) or (N, 4) their means that were matched, N >= 1.
             matching: Where they fit.
             reference: What they were matched against.
             twists: Velocity (3,) before the match and after it.
@@ -89,7 +89,7 @@ class Certainty:
         noise_m2 = self._noise.watch(scan, max(1, round(rays / len(points))))
         fine = reference if reference.fine is None else reference.fine
         share = 0.0 if reference.fine is None else self._fine_share
-        spreads(points, reference.grid, fine.grid, share, matching.pose, self._spreads)
+        spreads(oriented(points), reference.grid, fine.grid, share, matching.pose, self._spreads)
         back = -matching.pose[2]
         information = turned(matching.information, back) / self._score_weight
         residual, white = turned(self._spreads[0], back), turned(self._spreads[1], back)

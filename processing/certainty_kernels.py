@@ -6,14 +6,17 @@ Arrays in and out, laid out as in `processing.ndt_kernels`.
 import numpy as np
 from numba import njit
 
+from processing.ndt_kernels import across_wall
+
 _GRID = "Tuple((f8[::1], i4[:,:,::1], f8[:,::1]))"
 
 
-@njit(f"void(f8, f8, {_GRID}, f8, f8[::1])", cache=True, nogil=True)
-def add_slope(x, y, grid, share, slope):
+@njit(f"void(f8, f8, f8, f8, {_GRID}, f8, f8[::1])", cache=True, nogil=True)
+def add_slope(x, y, nx, ny, grid, share, slope):
     """Add to `slope` `share` of the derivatives of one point's score: by x, y, xx, xy, yy.
 
-    Block weights are held fixed, as in `ndt_kernels.derivatives`.
+    (nx, ny) is the unit normal of the point's wall, 0 for none. Block weights are held fixed, as in
+    `ndt_kernels.derivatives`.
     """
     origin, slots, normals = grid
     inv = origin[2]
@@ -31,6 +34,10 @@ def add_slope(x, y, grid, share, slope):
             weights += w
             du, dv = u - normals[slot, 0], v - normals[slot, 1]
             a, b, d = normals[slot, 2], normals[slot, 3], normals[slot, 4]
+            if nx != 0.0 or ny != 0.0:
+                tells, a, b, d = across_wall(nx, ny, a, b, d)
+                if not tells:
+                    continue
             qx, qy = a * du + b * dv, b * du + d * dv
             e = w * np.exp(-0.5 * (du * qx + dv * qy))
             gx -= e * qx
@@ -49,7 +56,7 @@ def add_slope(x, y, grid, share, slope):
 
 @njit(f"void(f8[:,::1], {_GRID}, {_GRID}, f8, f8[::1], f8[:,:,::1])", cache=True, nogil=True)
 def spreads(points, wide, fine, share, pose, out):
-    """Write what the slope of the score of points (N, 2) at `pose` varies by, (2, 3, 3), reference axes.
+    """Write what the slope of the score of points (N, 4) at `pose` varies by, (2, 3, 3), reference axes.
 
     First the sum of g g^T, g the slope of one point by x, y, yaw: what the residuals are. Second the sum of
     (G J)^T (G J), G the change of that slope with the point's place: what noise of unit variance does.
@@ -61,10 +68,11 @@ def spreads(points, wide, fine, share, pose, out):
     first, second = np.empty(3), np.empty(3)
     for k in range(points.shape[0]):
         rx, ry = cs * points[k, 0] - sn * points[k, 1], sn * points[k, 0] + cs * points[k, 1]
+        nx, ny = cs * points[k, 2] - sn * points[k, 3], sn * points[k, 2] + cs * points[k, 3]
         slope[:] = 0.0
-        add_slope(rx + pose[0], ry + pose[1], wide, 1.0 - share, slope)
+        add_slope(rx + pose[0], ry + pose[1], nx, ny, wide, 1.0 - share, slope)
         if share > 0.0:
-            add_slope(rx + pose[0], ry + pose[1], fine, share, slope)
+            add_slope(rx + pose[0], ry + pose[1], nx, ny, fine, share, slope)
         g[0], g[1], g[2] = slope[0], slope[1], rx * slope[1] - ry * slope[0]
         first[0], first[1], first[2] = slope[2], slope[3], rx * slope[3] - ry * slope[2]
         second[0], second[1], second[2] = slope[3], slope[4], rx * slope[4] - ry * slope[3]

@@ -3,16 +3,16 @@
 import numpy as np
 from numba import njit
 
-NEAR_M = 0.15
-"""Neighbours up to so far away say how a wall runs,"""
+NEAR_M, THIN = 0.15, 0.1
+"""Neighbours up to so far away say how a wall runs; greatest ratio of their variances across it and along."""
+STRAIGHT_M, STRAIGHT = 0.25, 0.01
+"""The same where the wall must be straight: as long as a cell of the map, and a tenth as thick."""
 ENOUGH = 6
-"""and so many on each side even if they are farther, as far away as"""
+"""So many on each side count even if they are farther, as far away as"""
 REACH = 0.15
 """this share of the range."""
 LEAST = 4
 """Points that it takes."""
-THIN = 0.1
-"""Greatest ratio of the variances of points on one wall."""
 
 
 @njit("f8(f8[::1], f8[::1])", cache=True, nogil=True)
@@ -33,21 +33,25 @@ def across(sums, normal):
     return (mean - root) / max(mean + root, 1e-12)
 
 
-@njit("void(f8[:,::1], i8, f8[:,::1])", cache=True, nogil=True)
-def face(points, count, normals):
-    """Write the unit normal of each point's wall, towards the laser at the origin; 0 where there is no wall.
+@njit("void(f8[:,::1], i8, i8[::1], f8, f8, f8[:,::1])", cache=True, nogil=True)
+def face(points, count, which, near_m, thin, normals):
+    """Write the unit normals of points' walls, towards the laser at the origin; 0 where there is no wall.
 
     The wall is that of the neighbours on both sides; at a corner, of those on the straighter side.
 
     Args:
         points: (N, 2) m, laser frame, in the order of their rays.
         count: How many of them there are.
-        normals: (M, 2), M >= count; the answer.
+        which: (K,) numbers of those that are asked about.
+        near_m: How far away neighbours may be.
+        thin: Greatest ratio of the variances of points on one wall.
+        normals: (M, 2), M >= K; the answer.
     """
     sums, normal = np.empty((3, 6)), np.empty(2)
-    for i in range(count):
+    for k in range(which.shape[0]):
+        i = which[k]
         x, y = points[i, 0], points[i, 1]
-        near_2 = NEAR_M * NEAR_M
+        near_2 = near_m * near_m
         reach_2 = max(near_2, REACH * REACH * (x * x + y * y))
         for part in range(3):
             sums[part, 0] = 1.0
@@ -71,16 +75,16 @@ def face(points, count, normals):
         for m in range(6):
             sums[0, m] = sums[1, m] + sums[2, m]
         sums[0, 0] -= 1.0
-        normals[i, 0] = normals[i, 1] = 0.0
-        thinnest = THIN
+        normals[k, 0] = normals[k, 1] = 0.0
+        thinnest = thin
         for part in range(3):
-            if part == 1 and thinnest < THIN:
+            if part == 1 and thinnest < thin:
                 break
             ratio = across(sums[part], normal)
             if ratio < thinnest:
                 thinnest = ratio
                 away = 1.0 if normal[0] * x + normal[1] * y > 0.0 else -1.0
-                normals[i, 0], normals[i, 1] = -away * normal[0], -away * normal[1]
+                normals[k, 0], normals[k, 1] = -away * normal[0], -away * normal[1]
 
 
 @njit("i8(f8[:,::1], f8[:,::1], f8, f8, f8, f8, b1[::1])", cache=True, nogil=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.matching import Matcher, Matching
-from processing.ndt import Ndt, Points
+from processing.ndt import Ndt, Oriented
 from processing.observability import View, view
 from processing.prediction import Twist
 from processing.se2 import transform
@@ -81,12 +81,12 @@ class Footing:
         self._fastest_m_s = max(self._fastest_m_s, float(np.hypot(middle[0], middle[1])))
 
     def leave_out(
-        self, points: Points, spans_m: NDArray[np.float64], yaw_rad: float, twist: Twist, duration_s: float
-    ) -> Points:
-        """Return the points (M, 2) of a scan to match: without those who would draw the match along.
+        self, points: Oriented, spans_m: NDArray[np.float64], yaw_rad: float, twist: Twist, duration_s: float
+    ) -> Oriented:
+        """Return the points (M, 4) of a scan to match: without those who would draw the match along.
 
         Args:
-            points: (N, 2) of the scan, laser frame.
+            points: (N, 4) of the scan, laser frame, with their walls.
             spans_m: (N,) how far the surface reaches that each is of.
             yaw_rad: Where the laser is expected to look.
             twist: The velocity that it is taken to have, (2,) or (3,), laser frame.
@@ -109,14 +109,14 @@ class Footing:
         self._kinds, self._numbers = kinds[~out], self._walkers.numbers[~out]
         return points[~out]
 
-    def trust(self, points: Points) -> Points:
-        """Return all points (N, 2) of a scan, in place of what `leave_out` returned of it."""
+    def trust(self, points: Oriented) -> Oriented:
+        """Return all points (N, 4) of a scan, in place of what `leave_out` returned of it."""
         self._kinds = np.full(len(points), Kind.WALL, np.int64)
         self._numbers = np.full(len(points), -1, np.int64)
         return points
 
-    def learn(self, points: Points, matching: Matching, reference: Ndt, limit_m: float) -> View:
-        """Note by what the points that were left (M, 2) saw, and return what they saw.
+    def learn(self, points: Oriented, matching: Matching, reference: Ndt, limit_m: float) -> View:
+        """Note by what the points that were left (M, 4) saw, and return what they saw.
 
         Args:
             points: As `leave_out` returned them.
@@ -132,7 +132,7 @@ class Footing:
         self.sight = Sight(seen.unseen, leaning)
         return seen
 
-    def _rests_on_few(self, points: Points, matching: Matching, reference: Ndt, limit_m: float) -> bool:
+    def _rests_on_few(self, points: Oriented, matching: Matching, reference: Ndt, limit_m: float) -> bool:
         """Whether some direction is not seen when the few small things that tell most of it are gone.
 
         In clutter many things tell it, and they cannot all walk the same way.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from processing.evolution import EvolutionConfig, random_state
 from processing.matching_kernels import polish, search
-from processing.ndt import Ndt, Points
+from processing.ndt import Ndt, Oriented, Points, oriented
 from processing.prediction import Prior
 from processing.se2 import Pose, wrap
 
@@ -85,13 +85,22 @@ class Matcher:
         self._report = np.zeros(3)
 
     def match(
-        self, points: Points, reference: Ndt, prior: Prior, window: NDArray[np.float64] | None = None
+        self,
+        points: Points | Oriented,
+        reference: Ndt,
+        prior: Prior,
+        window: NDArray[np.float64] | None = None,
     ) -> Matching:
-        """Find the most probable pose of points (N, 2) in the reference.
+        """Find the most probable pose of points in the reference.
 
-        `window` (3,): half sides of the searched box, if other than the configured ones.
+        Args:
+            points: (N, 2), or (N, 4) with the walls that they are on, which the polish heeds; the search
+                has no need of them.
+            reference: What they are matched against.
+            prior: Where they should be.
+            window: (3,) half sides of the searched box, if other than the configured ones.
         """
-        config = self.config
+        points, config = oriented(points), self.config
         given = np.empty(14)
         given[:3] = prior.pose
         given[3:12] = prior.information.ravel()
@@ -146,8 +155,14 @@ class Matcher:
             polish_steps=steps,
         )
 
-    def information(self, points: Points, reference: Ndt, pose: Pose) -> Matrix:
-        """Return the information (3, 3) that points (N, 2) alone give at a pose, as in `Matching`."""
+    def reaches(self, pose: Pose, prior: Prior) -> bool:
+        """Whether a pose (3,) lies in the box that is searched around a prior; the polish may leave it."""
+        off = np.abs(pose - prior.pose)
+        off[2] = abs(wrap(off[2]))
+        return bool((off <= (self.config.window_m, self.config.window_m, self.config.window_rad)).all())
+
+    def information(self, points: Points | Oriented, reference: Ndt, pose: Pose) -> Matrix:
+        """Return the information (3, 3) that points alone give at a pose, as in `Matching`."""
         points = np.ascontiguousarray(points)
         information = reference.score(points, pose).information
         if self.config.polish and reference.fine is not None:

@@ -174,6 +174,8 @@ def polish(points, wide, fine, prior, stages, pose, curvature, report):
     A step that does not rise is not taken, and the next one is shorter (Levenberg and Marquardt): where the
     cells of the reference contradict each other, free steps wander off by a decimetre.
 
+    `points` (N, 4) as `ndt_kernels.derivatives` takes them.
+
     `stages` (S, 2): variance (m^2) added to the cells, share of the fine cells; coarse to fine. `curvature`
     (2, 3, 3): Hessian of the score, and its Gauss-Newton information, at the end. `report`: evaluations used,
     last step (m, rad).

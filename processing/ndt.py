@@ -24,6 +24,8 @@ from processing.ndt_kernels import (
 from processing.se2 import Pose
 
 Points = NDArray[np.float64]
+Oriented = NDArray[np.float64]
+"""(N, 4): places, and unit normals of the walls that they are on; 0 for points of no wall."""
 Matrix = NDArray[np.float64]
 
 _RIM = 3
@@ -88,6 +90,11 @@ def extent(points: Points) -> tuple[Points, Points]:
     """
     rows = np.ascontiguousarray(points.T)
     return rows.min(axis=1), rows.max(axis=1)
+
+
+def oriented(points: Points) -> Oriented:
+    """Return points (N, 2) as points of no wall; oriented ones as they are."""
+    return points if points.shape[1] == 4 else np.hstack((points, np.zeros((len(points), 2))))
 
 
 class Ndt:
@@ -183,11 +190,17 @@ class Ndt:
             self._counts,
         )
 
-    def score(self, points: Points, frame_t_points: Pose, blur_m2: float = 0.0) -> Score:
-        """Rate points (N, 2) moved to a pose, exactly; `blur_m2` is added to the variances of the cells."""
+    def score(self, points: Points | Oriented, frame_t_points: Pose, blur_m2: float = 0.0) -> Score:
+        """Rate points (N, 2) or (N, 4) moved to a pose, exactly.
+
+        Args:
+            points: Those on a wall tell across it only.
+            frame_t_points: (3,) the pose.
+            blur_m2: Is added to the variances of the cells.
+        """
         gradient, hessian, information = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
         value = derivatives(
-            points,
+            oriented(points),
             self.origin,
             self.slots,
             self.normals,

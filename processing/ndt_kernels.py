@@ -22,6 +22,8 @@ EMPTY = -1
 SPARSE = -2
 THINNEST = 1e-6
 """Variance (m^2) of a line: points nearer to each other than a few of its deviations are no wall."""
+FLAT = 0.01
+"""Least ratio of the determinant of a cell's inverse covariance and its squared trace; less is a wall."""
 SIDE = 4
 """Samples of the score field along the side of a half cell; a tile is one cache line."""
 
@@ -265,13 +267,34 @@ def sampled_score(columns, origin, slots, tiles, x, y, yaw, samples):
     return total
 
 
+@njit("Tuple((b1, f8, f8, f8))(f8, f8, f8, f8, f8)", cache=True, nogil=True)
+def across_wall(nx, ny, a, b, d):
+    """Narrow what a cell says to what a point of a wall with the unit normal (nx, ny) can tell of it.
+
+    Along its wall such a point may lie anywhere: wherever the laser is, some ray meets the wall there (as in
+    point-to-line matching: Censi, ICRA 2008). So a cell that is no wall counts across the point's own wall
+    only; in one of a wall that runs otherwise the point does not belong.
+
+    Returns:
+        Whether it tells anything; and xx, xy, yy of the inverse covariance, given as a, b, d.
+    """
+    trace, det = a + d, a * d - b * b
+    if det < FLAT * trace * trace:
+        return nx * nx * a + 2.0 * nx * ny * b + ny * ny * d >= 0.5 * trace, a, b, d
+    k = det / (d * nx * nx - 2.0 * b * nx * ny + a * ny * ny)
+    return True, k * nx * nx, k * nx * ny, k * ny * ny
+
+
 @njit(
     "f8(f8[:,::1], f8[::1], i4[:,:,::1], f8[:,::1], f8[::1], f8, f8[::1], f8[:,::1], f8[:,::1])",
     cache=True,
     nogil=True,
 )
 def derivatives(points, origin, slots, normals, pose, blur, gradient, hessian, information):
-    """Score points (N, 2) at `pose`; write gradient (3,), Hessian and Gauss-Newton information (3, 3).
+    """Score points (N, 4) at `pose`; write gradient (3,), Hessian and Gauss-Newton information (3, 3).
+
+    Of each point: place, and unit normal of its wall or 0. A wall that the point does not belong to says
+    nothing, and the point fits the less.
 
     Block weights are held fixed: their slope compares the noise of neighbouring blocks and would pull points
     along walls. `information` is the sum of w e J^T S^-1 J, never negative; `hessian` that of the score
@@ -288,6 +311,8 @@ def derivatives(points, origin, slots, normals, pose, blur, gradient, hessian, i
     for k in range(points.shape[0]):
         px, py = points[k, 0], points[k, 1]
         rx, ry = cs * px - sn * py, sn * px + cs * py
+        nx, ny = cs * points[k, 2] - sn * points[k, 3], sn * points[k, 2] + cs * points[k, 3]
+        on_wall = nx != 0.0 or ny != 0.0
         u, v = rx + tx, ry + ty
         col, row = int(np.floor(u * inv)), int(np.floor(v * inv))
         if row < 1 or col < 1 or row >= rows or col >= cols:
@@ -307,6 +332,10 @@ def derivatives(points, origin, slots, normals, pose, blur, gradient, hessian, i
                     det = a * d - b * b
                     den = 1.0 + blur * (a + d) + blur * blur * det
                     a, b, d = (a + blur * det) / den, b / den, (d + blur * det) / den
+                if on_wall:
+                    tells, a, b, d = across_wall(nx, ny, a, b, d)
+                    if not tells:
+                        continue
                 qx, qy = a * du + b * dv, b * du + d * dv
                 m = du * qx + dv * qy
                 if m > 50.0:

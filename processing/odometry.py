@@ -17,7 +17,7 @@ from processing.footing import Footing
 from processing.local_map import LocalMap
 from processing.matching import Matcher, Matching, MatchingConfig
 from processing.motion import Motion, anew_covariance, doubted_covariance, lost_covariance
-from processing.ndt import NdtConfig
+from processing.ndt import NdtConfig, Oriented
 from processing.observability import Blindness, blind_m
 from processing.prediction import (
     ConstantVelocity,
@@ -63,6 +63,8 @@ class OdometryConfig:
     """Greatest gap between two rays on one straight wall that is filled in the reference; 0 for none."""
     walls_have_sides: bool = True
     """Whether walls that the laser would see from behind are left out of the local map."""
+    walls_tell_across: bool = True
+    """Whether a point of a straight wall tells across it only; else a corner beside the laser holds it."""
     walkers_left_out: bool = True
     """Whether small things that walk, or may, are not trusted along directions that no wall sees."""
     key_scans: int = 40
@@ -125,7 +127,8 @@ class LaserOdometry:
         self._local = LocalMap(config.ndt, config.key_scans if many else 1, many and config.walls_have_sides)
         fine_share = config.matching.fine_share if config.matching.polish else 0.0
         self._footing = Footing(self._matcher, many and config.walkers_left_out)
-        self._straightener = Straightener(config.matching)
+        self._walls = many and config.walls_tell_across
+        self._straightener = Straightener(config.matching, self._walls)
         self._is_straightened = many and config.deskew
         self._certainty = Certainty(config.matching.score_weight, fine_share)
         self._blindness = Blindness()
@@ -146,7 +149,7 @@ class LaserOdometry:
         prior = watch.expect(self._filter, duration_s) if self._local.keys else None
         twist = self._filter.twist if self.config.deskew else np.zeros(3)
         ends = resampler.points(scan, twist, middle_s)
-        points = resampler.means()
+        points = resampler.oriented_means(self._walls)
         if prior is not None:
             taken = self._filter.twist if self._footing.firm else self._steady()
             spans_m = resampler.spans_m(len(points))
@@ -160,7 +163,7 @@ class LaserOdometry:
             if self._is_bent(scan, matching, resampler, middle_s):
                 prior = self._filter.prior()
                 ends = resampler.points(scan, self._filter.twist, middle_s)
-                points = self._footing.trust(resampler.means())
+                points = self._footing.trust(resampler.oriented_means(self._walls))
                 matching = self._matcher.match(points, self._local.reference, prior)
             matching, fits = self._locate(points, matching, prior, watch)
         if prior is not None and not fits:
@@ -190,25 +193,25 @@ class LaserOdometry:
         key = anew or (fits and not watch.doubtful and self._is_key())
         if key:
             whole = self.config.reference_points == "all"
-            seen = resampler.filled(self.config.fill_m) if whole else (points, np.zeros_like(points))
+            seen = resampler.filled(self.config.fill_m) if whole else (points[:, :2], points[:, 2:])
             self._local.add(self._filter.pose, *seen)
         return Match(
             motion=self._motion(scan, middle_s, covariance, unseen, fits, anew),
             state=Tracking.LOST if watch.lost or not self._local.keys else _state(unseen),
             blind_rad=_axis(unseen),
             score=0.0 if matching is None else matching.score,
-            points_laser=transform(exponential(self._filter.twist * middle_s), points),
+            points_laser=transform(exponential(self._filter.twist * middle_s), points[:, :2]),
             key=key,
             evaluations=0 if matching is None else matching.evaluations,
         )
 
     def _correct(
-        self, points: Points, matching: Matching, prior: Prior, old_pose: Pose | None, duration_s: float
+        self, points: Oriented, matching: Matching, prior: Prior, old_pose: Pose | None, duration_s: float
     ) -> Points:
         """Take the match into the filter, where it sees; elsewhere the laser goes on as it did.
 
         Args:
-            points: (N, 2) that were matched.
+            points: (N, 4) that were matched.
             matching: Of them, which need not fit.
             prior: Where the scan was expected.
             old_pose: (3,) at the scan before; None if the scan does not fit.
@@ -251,7 +254,7 @@ class LaserOdometry:
         return self._straightener.straighten(scan, resampler, self._filter, middle_s, reference, least)
 
     def _locate(
-        self, points: Points, matching: Matching, prior: Prior, watch: Watch
+        self, points: Oriented, matching: Matching, prior: Prior, watch: Watch
     ) -> tuple[Matching, bool]:
         """Judge the match of a scan where it is expected; where it does not fit there, look farther.
 

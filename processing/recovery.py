@@ -13,7 +13,7 @@ import numpy as np
 from processing import wide_match
 from processing.local_map import KeyScan
 from processing.matching import Matcher, Matching
-from processing.ndt import Ndt, Points
+from processing.ndt import Ndt, Oriented, Points
 from processing.observability import view
 from processing.prediction import ConstantVelocity, Prior, turned
 from processing.se2 import Pose, between
@@ -122,7 +122,7 @@ class Recovery:
 
     def look(
         self,
-        points: Points,
+        points: Oriented,
         near: Matching,
         matcher: Matcher,
         reference: Ndt,
@@ -133,7 +133,7 @@ class Recovery:
         """Return where the scan fits, if it is one place; that is on trial then.
 
         Args:
-            points: (N, 2) of the scan, N >= 1.
+            points: (N, 4) of the scan, N >= 1.
             near: The best match around where the laser was expected.
             matcher: Polishes.
             reference: The local map, and
@@ -150,7 +150,7 @@ class Recovery:
 
     def _only_place(
         self,
-        points: Points,
+        points: Oriented,
         near: Matching,
         matcher: Matcher,
         reference: Ndt,
@@ -182,7 +182,7 @@ class Recovery:
     def _places(
         self, points: Points, guess: Pose, matcher: Matcher, reference: Ndt, points_odom: Points
     ) -> list[Matching]:
-        query = points[np.hypot(points[:, 0], points[:, 1]) < SIGHT_M]
+        query = points[np.hypot(points[:, 0], points[:, 1]) < SIGHT_M, :2]
         if len(query) < LEAST_POINTS:
             return []
         if self._field is None:
@@ -204,10 +204,10 @@ class Recovery:
 
 
 def sight_of(points: Points, odom_t_laser: Pose, keys: Sequence[KeyScan]) -> Sight:
-    """Ask the local map whether a scan (N, 2), laser frame, can have been taken at a place."""
+    """Ask the local map whether a scan (N, 2) or (N, 4), laser frame, can have been taken at a place."""
     ends = np.cumsum([len(key.points_odom) for key in keys])
     poses = np.array([key.odom_t_laser for key in keys])
-    return judge(points, odom_t_laser, np.concatenate([key.points_odom for key in keys]), ends, poses)
+    return judge(points[:, :2], odom_t_laser, np.concatenate([key.points_odom for key in keys]), ends, poses)
 
 
 def covered(points: Points) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.facing_kernels import face
+from processing.facing_kernels import NEAR_M, STRAIGHT, STRAIGHT_M, THIN, face
 from processing.saliency_kernels import end_points, resample
 from processing.scan import Beams, Scan
 from processing.wall_kernels import fill_walls
@@ -76,6 +76,7 @@ class Resampler:
         self._filled = np.empty((beams.count + MOST_FILLED, 2))
         self._normals = np.empty((beams.count + MOST_FILLED, 2))
         self._members = np.empty(beams.count, np.int64)
+        self._numbers = np.arange(beams.count)
         self._work = np.empty((beams.count, 4))
 
     def points(self, scan: Scan, twist: NDArray[np.float64], instant_s: float = 0.0) -> NDArray[np.float64]:
@@ -94,7 +95,7 @@ class Resampler:
         Returns:
             Points (K, 2), and unit normals (K, 2) towards the laser, 0 for points of no wall; copies.
         """
-        face(self._points, self._count, self._normals)
+        face(self._points, self._count, self._numbers[: self._count], NEAR_M, THIN, self._normals)
         written = fill_walls(self._points, self._rays, self._count, most_m, self._filled, self._normals)
         return self._filled[:written].copy(), self._normals[:written].copy()
 
@@ -114,6 +115,24 @@ class Resampler:
             self._work,
         )
         return self._means[:written].copy()
+
+    def oriented_means(self, walls: bool = True) -> NDArray[np.float64]:
+        """Return the same as `means` with the straight walls that they are on.
+
+        Args:
+            walls: Whether these are looked for.
+
+        Returns:
+            (K, 4): place, and unit normal of the wall towards the laser, 0 for points of no wall.
+        """
+        means = self.means()
+        if not walls:
+            return np.hstack((means, np.zeros_like(means)))
+        members = self._members[: len(means)]
+        middles = np.cumsum(members) - (members + 1) // 2 if self._wanted else self._numbers[: len(means)]
+        normals = np.empty_like(means)
+        face(self._points, self._count, middles, STRAIGHT_M, STRAIGHT, normals)
+        return np.hstack((means, normals))
 
     def spans_m(self, count: int) -> NDArray[np.float64]:
         """Return how far the surface reaches from its first point that each of the last `count` means is of.

@@ -26,9 +26,15 @@ RATE_SHARE = 0.15
 
 
 class Straightener:
-    """Finds the turn rate during a sweep by how well the sweep fits."""
+    """Finds the turn rate during a sweep by how well the sweep fits.
 
-    def __init__(self, config: MatchingConfig) -> None:
+    Args:
+        config: Of the odometry's matcher.
+        walls: Whether points know the walls that they are on.
+    """
+
+    def __init__(self, config: MatchingConfig, walls: bool) -> None:
+        self._walls = walls
         # The places that the rates lead to are near enough for the polish alone.
         self._polish = Matcher(replace(config, search=replace(config.search, generations=0)))
 
@@ -60,7 +66,7 @@ class Straightener:
             tried = copy.copy(filter_)
             prior = tried.see_turn(expected + sigmas * doubt, RATE_SHARE * doubt)
             resampler.points(scan, tried.twist, middle_s)
-            return self._polish.match(resampler.means(), reference, prior).score
+            return self._polish.match(resampler.oriented_means(self._walls), reference, prior).score
 
         scores = np.array([fit(sigmas) for sigmas in RATES])
         best, told = int(scores.argmax()), False

@@ -13,7 +13,7 @@ import numpy as np
 
 from processing.local_map import KeyScan
 from processing.matching import Matcher, Matching
-from processing.ndt import Ndt, NdtConfig, Points
+from processing.ndt import Ndt, NdtConfig, Oriented, Points
 from processing.prediction import ConstantVelocity, Prior
 from processing.recovery import LEAST_KNOWN, SURPRISE, Recovery, sight_of
 
@@ -105,11 +105,11 @@ class Watch:
             return None
         return max(STRAIGHTER * matching.score, FIT * self._usual)
 
-    def accept(self, points: Points, matching: Matching, prior: Prior, keys: Sequence[KeyScan]) -> bool:
+    def accept(self, points: Oriented, matching: Matching, prior: Prior, keys: Sequence[KeyScan]) -> bool:
         """Judge the match of a scan; one that fits goes into what is usual.
 
         Args:
-            points: (N, 2) of the scan, N >= 1.
+            points: (N, 4) of the scan, N >= 1.
             matching: Where it fits best.
             prior: Where it should be.
             keys: The scans of the local map.
@@ -137,13 +137,13 @@ class Watch:
         """Keep the points (N, 2) of the last good scan."""
         self._last = points_odom
 
-    def follow(self, points: Points, prior: Prior, matcher: Matcher, reference: Ndt) -> Matching | None:
+    def follow(self, points: Oriented, prior: Prior, matcher: Matcher, reference: Ndt) -> Matching | None:
         """Match a scan that does not fit the local map by way of the last good scan, if it fits that.
 
         Where the map is poor, two scans of one place still fit each other.
 
         Args:
-            points: (N, 2) of the scan, N >= 1.
+            points: (N, 4) of the scan, N >= 1.
             prior: Where it should be.
             matcher: Matches.
             reference: The local map.
@@ -155,6 +155,9 @@ class Watch:
         step = matcher.match(points, before, prior)
         if step.score < CONTINUOUS or prior.sigmas(step.pose) > SURPRISE:
             return None
+        if not matcher.reaches(step.pose, prior):
+            # Beyond what was searched something else may fit as well.
+            return None
         expected = Prior(step.pose, prior.information + step.information)
         matching = matcher.match(points, reference, expected)
         self._misses, self._recovery = 0, None
@@ -162,7 +165,7 @@ class Watch:
 
     def find(
         self,
-        points: Points,
+        points: Oriented,
         near: Matching,
         filter_: ConstantVelocity,
         matcher: Matcher,
@@ -172,7 +175,7 @@ class Watch:
         """Look for the laser farther away, or go on with a place that is on trial.
 
         Args:
-            points: (N, 2) of the scan, N >= 1.
+            points: (N, 4) of the scan, N >= 1.
             near: The match that was not accepted.
             filter_: Of the motion.
             matcher: Polishes places.

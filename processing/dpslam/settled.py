@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from processing.dpslam.settled_kernels import fit_of_points, look_away, note_views, refit, refit_all
 from processing.local_map import BEHIND_M, BEHIND_SLANT
 from processing.matching_kernels import polish
-from processing.ndt import NdtConfig, Points, extent
+from processing.ndt import NdtConfig, Points, extent, oriented
 from processing.ndt_kernels import accumulate
 from processing.se2 import Pose, transform
 
@@ -133,7 +133,7 @@ class SettledMap:
         prior = np.concatenate((map_t_guess, information.ravel(), (_FREE, 1.0)))
         pose, curvature, report = np.array(map_t_guess), np.zeros((2, 3, 3)), np.zeros(3)
         grid = (self._origin, self._slots, self._normals)
-        polish(points, grid, grid, prior, _STAGES, pose, curvature, report)
+        polish(oriented(points), grid, grid, prior, _STAGES, pose, curvature, report)
         return Fit(pose, curvature[1])
 
     def state(self) -> dict[str, NDArray[Any]]:

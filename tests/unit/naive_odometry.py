@@ -110,11 +110,14 @@ class Ndt:
         return points.mean(axis=0), vectors @ np.diag((small, large)) @ vectors.T
 
     def score(self, points, pose, blur_m2=0.0, weighed_at=None):
-        """Sum of the weighted means of four densities; the weights may be those of another pose."""
+        """Sum of the weighted means of four densities; weights and normals may be those of another pose."""
         weighed_at = pose if weighed_at is None else weighed_at
+        turn = np.array((0.0, 0.0, weighed_at[2]))
+        normals = _moved(points[:, 2:], turn) if points.shape[1] == 4 else [np.zeros(2)] * len(points)
+        moved, weighed = (_moved(points[:, :2], at) for at in (pose, weighed_at))
         return sum(
-            self.point_score(moved, blur_m2, weighed)
-            for moved, weighed in zip(_moved(points, pose), _moved(points, weighed_at), strict=True)
+            self.point_score(point, blur_m2, *rest)
+            for point, *rest in zip(moved, weighed, normals, strict=True)
         )
 
     def knows(self, point):
@@ -124,7 +127,7 @@ class Ndt:
             for shift, cells in zip(self.SHIFTS, self.cells, strict=True)
         )
 
-    def point_score(self, point, blur_m2=0.0, weighed=None):
+    def point_score(self, point, blur_m2=0.0, weighed=None, normal=None):
         weighed = point if weighed is None else weighed
         total = weights = 0.0
         for shift, cells in zip(self.SHIFTS, self.cells, strict=True):
@@ -134,10 +137,24 @@ class Ndt:
             mean, covariance = cells[place]
             middle = (np.array(place) + shift + 0.5) * self.config.cell_m
             weight = np.prod(1.0 - np.abs(weighed - middle) / (0.5 * self.config.cell_m))
-            off = point - mean
-            total += weight * np.exp(-0.5 * off @ np.linalg.inv(covariance + blur_m2 * np.eye(2)) @ off)
             weights += weight
+            total += weight * _density(point - mean, covariance + blur_m2 * np.eye(2), normal)
         return total / weights if weights > 1e-9 else 0.0
+
+
+def _density(off, covariance, normal):
+    """Of a point with the unit normal of its wall, None or 0 for none."""
+    if normal is None or not normal.any():
+        return np.exp(-0.5 * off @ np.linalg.inv(covariance) @ off)
+    (small, large), vectors = np.linalg.eigh(covariance)
+    if small * large < 0.01 * (small + large) ** 2:
+        # A wall: the point is on it, and tells what every point tells, or on one that runs otherwise.
+        across, along = small**-1, large**-1
+        facing = normal @ vectors
+        if across * facing[0] ** 2 + along * facing[1] ** 2 < 0.5 * (across + along):
+            return 0.0
+        return np.exp(-0.5 * off @ np.linalg.inv(covariance) @ off)
+    return np.exp(-0.5 * (normal @ off) ** 2 / (normal @ covariance @ normal))
 
 
 def _moved(points, pose):

@@ -79,6 +79,7 @@ TWINS = {
         "sample_tiles": "unit/test_ndt.py::test_a_sample_is_the_score_of_the_middle_of_its_square",
         "clear": "unit/test_ndt.py::test_a_reference_built_after_others_is_as_one_built_at_first",
         "sampled_score": "unit/test_ndt.py::test_the_raster_is_near_the_exact_score_of_widened_cells",
+        "across_wall": SCORE,
         "derivatives": SLOPES,
     },
     "saliency_kernels": {

@@ -17,29 +17,30 @@ from processing.scan import Scan
 from tests.lasers import beams_of_laser
 
 
-def faced(points):
-    normals = np.full((len(points) + 3, 2), np.nan)
-    facing.face(np.ascontiguousarray(points), len(points), normals)
-    assert np.isnan(normals[len(points) :]).all()
-    return normals[: len(points)]
+def faced(points, near_m=facing.NEAR_M, thin=facing.THIN, which=None):
+    which = np.arange(len(points)) if which is None else which
+    normals = np.full((len(which) + 3, 2), np.nan)
+    facing.face(np.ascontiguousarray(points), len(points), which, near_m, thin, normals)
+    assert np.isnan(normals[len(which) :]).all()
+    return normals[: len(which)]
 
 
-def plainly_faced(points):
+def plainly_faced(points, near_m=facing.NEAR_M, thin=facing.THIN):
     """The same, as one would write it first: the short axis of the neighbours, turned to the laser."""
     normals = np.zeros_like(points)
     for i, point in enumerate(points):
-        reach_m = max(facing.NEAR_M, facing.REACH * np.hypot(*point))
+        reach_m = max(near_m, facing.REACH * np.hypot(*point))
         sides = []
         for side in (points[:i][::-1], points[i + 1 :]):
             sides.append([])
             for k, other in enumerate(side, 1):
                 away_m = np.hypot(*(other - point))
-                if away_m > reach_m or (away_m > facing.NEAR_M and k > facing.ENOUGH):
+                if away_m > reach_m or (away_m > near_m and k > facing.ENOUGH):
                     break
                 sides[-1].append(other)
         axes = [short_axis([point, *group]) for group in ([*sides[0], *sides[1]], *sides)]
-        ratio, axis = axes[0] if axes[0][0] < facing.THIN else min(axes[1:], key=lambda a: a[0])
-        if ratio < facing.THIN:
+        ratio, axis = axes[0] if axes[0][0] < thin else min(axes[1:], key=lambda a: a[0])
+        if ratio < thin:
             normals[i] = axis * -np.sign(axis @ point)
     return normals
 
@@ -62,6 +63,24 @@ def test_the_compiled_normals_are_the_plain_ones(seed):
     corner = np.vstack((wall(2.0, -1.5, 1.0, 30), wall(1.0, 2.0, 0.4, 20)[:, ::-1]))
     points = corner * rng.uniform(0.3, 3.0) + rng.normal(0.0, 0.01, corner.shape)
     np.testing.assert_allclose(faced(points), plainly_faced(points), atol=1e-6)
+    which = np.flatnonzero(rng.random(len(points)) < 0.3)
+    straight = facing.STRAIGHT_M, facing.STRAIGHT
+    expected = plainly_faced(points, *straight)[which]
+    np.testing.assert_allclose(faced(points, *straight, which), expected, atol=1e-6)
+
+
+def test_what_is_short_or_bent_is_no_straight_wall():
+    noise = np.random.default_rng(3).normal(0.0, 0.003, (60, 2))
+    straight = facing.STRAIGHT_M, facing.STRAIGHT
+    turn = np.linspace(np.pi - 0.8, np.pi + 0.8, 60)[::-1]
+    pillar = np.column_stack((2.0 + 0.2 * np.cos(turn), 0.2 * np.sin(turn)))
+
+    def share(points):
+        return (faced(points + noise[: len(points)], *straight) != 0.0).any(axis=1).mean()
+
+    assert share(wall(2.0, -1.0, 1.0)) == 1.0
+    assert share(wall(2.0, -0.03, 0.03, 3)) == 0.0
+    assert share(pillar) < 0.2
 
 
 def test_a_wall_faces_the_laser_and_a_heap_faces_nowhere():

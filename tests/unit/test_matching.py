@@ -39,6 +39,32 @@ def built(points, config=None):
     return ndt
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("ahead_m", [0.03, 0.06, 0.12])
+def test_a_corner_beside_the_laser_does_not_hold_it(seed, ahead_m):
+    """Rays that leave it sideways hit the wall beside it wherever it is: for a while in the corner's cell."""
+    rng = np.random.default_rng(seed)
+    along = np.arange(0.0, 6.0, 0.08)
+    sides = np.vstack([np.column_stack((along, np.full(len(along), y))) for y in (0.6, -1.5)])
+    jamb = np.column_stack((np.zeros(8), np.linspace(0.6, 0.9, 8)))
+    before = np.tile(np.vstack((sides, jamb)), (6, 1))
+    reference = built(before + rng.normal(0.0, 0.01, before.shape), NdtConfig())
+    points = sides + rng.normal(0.0, 0.01, sides.shape)
+    normals = np.column_stack((np.zeros(len(sides)), -np.sign(sides[:, 1])))
+    prior = Prior(np.array((ahead_m, 0.0, 0.0)), np.eye(3) / 0.05**2)
+
+    def match(seen):
+        return Matcher(MatchingConfig(), seed).match(seen, reference, prior)
+
+    plain, oriented = match(points), match(np.hstack((points, normals)))
+    assert plain.information[0, 0] > 1.0 / 0.075**2
+    assert oriented.information[0, 0] < 1.0 / 0.09**2
+    assert oriented.pose[0] == pytest.approx(ahead_m, abs=0.006)
+    # Across, and in its rotation, it is known as well.
+    for axis in (1, 2):
+        assert oriented.information[axis, axis] > 0.9 * plain.information[axis, axis]
+
+
 def starts():
     """Errors of the guess: up to 0.3 m and 20 degrees off, all around."""
     for k, off in enumerate(np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)):

@@ -28,6 +28,15 @@ def furnished_room(rng, count=250, noise_m=0.01):
     return np.concatenate([*parts, rng.normal((0.7, 0.2), 0.15, (count // 5, 2))])
 
 
+def on_walls(rng, points):
+    """The same points, two thirds of them on walls that run anyhow: half of these along the room's."""
+    angle = rng.uniform(-np.pi, np.pi, len(points))
+    along = rng.random(len(points)) < 0.5
+    angle[along] = np.round(angle[along] / (0.5 * np.pi)) * 0.5 * np.pi
+    normals = np.column_stack((np.cos(angle), np.sin(angle)))
+    return np.hstack((points, normals * (rng.random((len(points), 1)) < 0.67)))
+
+
 def poses(rng, count):
     return rng.uniform((-0.4, -0.4, -0.5), (0.4, 0.4, 0.5), (count, 3))
 
@@ -44,9 +53,11 @@ def test_the_score_is_that_of_four_plain_grids(config, blur_m2):
     rng = np.random.default_rng(1)
     reference, points = furnished_room(rng), furnished_room(rng)
     ndt, plain = built(reference, config), naive.Ndt(reference, config)
-    for pose in (HERE, *poses(rng, 4)):
-        expected = plain.score(points, pose, blur_m2)
-        assert ndt.score(points, pose, blur_m2).value == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    for seen in (points, on_walls(rng, points)):
+        for pose in (HERE, *poses(rng, 4)):
+            expected = plain.score(seen, pose, blur_m2)
+            assert ndt.score(seen, pose, blur_m2).value == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert ndt.score(seen, HERE).value != pytest.approx(ndt.score(points, HERE).value)
 
 
 def test_a_scan_fits_its_own_reference_and_nothing_beside_it():
@@ -63,11 +74,13 @@ def differences(score, pose, step):
     return np.array([(score(pose + step * d) - score(pose - step * d)) / (2.0 * step) for d in np.eye(3)])
 
 
+@pytest.mark.parametrize("with_walls", [False, True])
 @pytest.mark.parametrize("blur_m2", [0.0, 0.03**2])
 @pytest.mark.parametrize("seed", range(4))
-def test_gradient_and_hessian_are_the_differences_of_the_score_at_fixed_weights(seed, blur_m2):
+def test_gradient_and_hessian_are_the_differences_of_the_score_at_fixed_weights(seed, blur_m2, with_walls):
     rng = np.random.default_rng(seed)
     reference, points = furnished_room(rng), furnished_room(rng, 60)
+    points = on_walls(rng, points) if with_walls else points
     config = NdtConfig()
     plain = naive.Ndt(reference, config)
     pose = poses(rng, 1)[0]
@@ -89,7 +102,7 @@ def test_the_information_is_never_negative_and_the_hessian_of_a_perfect_fit(seed
     reference = furnished_room(rng)
     ndt = built(reference)
     for pose in poses(rng, 5):
-        information = ndt.score(furnished_room(rng), pose).information
+        information = ndt.score(on_walls(rng, furnished_room(rng)), pose).information
         np.testing.assert_array_equal(information, information.T)
         assert np.linalg.eigvalsh(information).min() > -1e-9 * np.trace(information)
     # One point in the middle of round cells: nothing is left of the Hessian but the Gauss-Newton part.

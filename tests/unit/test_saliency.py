@@ -172,6 +172,22 @@ def test_each_point_knows_how_far_its_surface_reaches(seed):
     assert spans[~post & ~pillar].min() > 0.5
 
 
+@pytest.mark.parametrize("wanted", [0, 134])
+def test_a_mean_knows_the_wall_that_it_is_on(wanted):
+    resampler = Resampler(ResamplingConfig(points=wanted), BEAMS)
+    resampler.points(Scan(0, see(room(), (2.0, 2.0, 0.0), 1), BEAMS), STILL)
+    means = resampler.means()
+    oriented = resampler.oriented_means()
+    np.testing.assert_array_equal(oriented[:, :2], means)
+    np.testing.assert_array_equal(resampler.oriented_means(walls=False), np.hstack((means, 0.0 * means)))
+    normals = oriented[(oriented[:, 2:] != 0.0).any(axis=1), 2:]
+    assert len(normals) > 0.5 * len(means)
+    np.testing.assert_allclose(np.hypot(*normals.T), 1.0)
+    # The laser stands square in a square room, and walls face it.
+    assert (np.abs(normals).max(axis=1) > 0.98).mean() > 0.95
+    assert (np.einsum("ki,ki->k", oriented[:, :2], oriented[:, 2:]) <= 0.0).all()
+
+
 def test_without_resampling_no_surface_has_an_end():
     resampler = Resampler(ResamplingConfig(points=0), BEAMS)
     resampler.points(Scan(0, see(room(), (2.0, 2.0, 0.0), 1), BEAMS), STILL)
