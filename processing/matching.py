@@ -155,11 +155,9 @@ class Matcher:
             polish_steps=steps,
         )
 
-    def reaches(self, pose: Pose, prior: Prior) -> bool:
-        """Whether a pose (3,) lies in the box that is searched around a prior; the polish may leave it."""
-        off = np.abs(pose - prior.pose)
-        off[2] = abs(wrap(off[2]))
-        return bool((off <= (self.config.window_m, self.config.window_m, self.config.window_rad)).all())
+    def has_turned_on(self, pose: Pose, prior: Prior) -> bool:
+        """Whether a pose (3,) is turned by more than the search around a prior reaches: the polish did."""
+        return bool(abs(wrap(pose[2] - prior.pose[2])) > self.config.window_rad)
 
     def information(self, points: Points | Oriented, reference: Ndt, pose: Pose) -> Matrix:
         """Return the information (3, 3) that points alone give at a pose, as in `Matching`."""

@@ -155,8 +155,8 @@ class Watch:
         step = matcher.match(points, before, prior)
         if step.score < CONTINUOUS or prior.sigmas(step.pose) > SURPRISE:
             return None
-        if not matcher.reaches(step.pose, prior):
-            # Beyond what was searched something else may fit as well.
+        if matcher.has_turned_on(step.pose, prior):
+            # To the other side it may fit as well: rooms look alike from four sides, and nobody looked.
             return None
         expected = Prior(step.pose, prior.information + step.information)
         matching = matcher.match(points, reference, expected)

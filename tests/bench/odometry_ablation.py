@@ -65,6 +65,7 @@ def variants() -> dict[str, OdometryConfig]:
         "cells 0.5 + 0.125 m": replace(base, ndt=replace(n, cell_m=0.5, fine_cell_m=0.125)),
         "walls not filled in": replace(base, fill_m=0.0),
         "walls without sides": replace(base, walls_have_sides=False),
+        "walls tell along, too": replace(base, walls_tell_across=False),
         "walkers trusted": replace(base, walkers_left_out=False),
         "flat cells not stretched": replace(base, ndt=replace(n, flat_stretch=1.0)),
         "DE alone": replace(base, matching=replace(m, polish=False)),
