@@ -82,18 +82,23 @@ class Recovery:
         """Whether a place is on trial."""
         return self._trial is not None
 
-    def judge(self, share: float, period_s: float) -> bool | None:
+    def judge(self, share: float, period_s: float, lost: bool) -> bool | None:
         """Take the next scan of the trial.
 
         Args:
             share: Its score as a share of the usual one.
             period_s: From scan to scan.
+            lost: Whether the track counts as lost by now. As long as it does not, the next scan that fits
+                confirms a place where the laser was expected.
 
         Returns:
             Whether the place was right; None while that is open.
         """
         trial = self._trial if self._trial is not None else []
         trial.append(share)
+        if not (lost or self.elsewhere) and share >= AGAIN:
+            self._trial = None
+            return True
         if share >= FAILED and len(trial) * period_s < TRIAL_S:
             return None
         self._trial = None
@@ -143,7 +148,7 @@ class Recovery:
         """
         found = self._only_place(points, near, matcher, reference, keys, usual)
         if found is not None:
-            self._trial, self.elsewhere = [], found is not near
+            self._trial, self.elsewhere = [], found is not near and _apart(found.pose, near.pose)
         elif not covered(points):
             self._seeing_s += duration_s
         return found

@@ -188,7 +188,7 @@ class Watch:
         recovery = self._recovery = self._recovery or Recovery(filter_, self._duration_s)
         if recovery.trying:
             known = max(sight_of(points, near.pose, keys).known, LEAST_KNOWN)
-            passed = recovery.judge(near.score / (self._usual * known), self._duration_s)
+            passed = recovery.judge(near.score / (self._usual * known), self._duration_s, self.lost)
             if passed:
                 self.elsewhere = recovery.elsewhere
                 self._good(near.score)

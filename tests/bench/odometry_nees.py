@@ -85,7 +85,7 @@ def simulated_rows(config, places=PLACES, seeds=SEEDS, most=None):
         kinds = {"match": ([], []), "1 s": ([], [])}
         for seed in range(seeds):
             course = simulated(place, seed)
-            del course.scans[most:]
+            course.scans[:] = course.scans[:most]
             truth = course.truth[: len(course.scans)]
             poses, covariances, _ = followed(course, config, seed)
             second = round(1.0 / course.scans[0].beams.period_s)

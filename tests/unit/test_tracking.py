@@ -227,6 +227,31 @@ def test_who_is_found_after_a_hole_where_the_motion_led_is_not_lost(hole_s, trut
     assert watch.trying != found
 
 
+@pytest.mark.parametrize(
+    ("truth", "lost", "share", "confirmed"),
+    [
+        ((0.2, 0.1, 0.1), False, 0.8, True),  # a scan that fitted badly, where it was expected
+        ((0.2, 0.1, 0.1), False, 0.7, False),  # the next one does so, too
+        ((0.2, 0.1, 0.1), True, 0.8, False),  # after a loss nobody knows where to expect it
+        ((0.7, 0.0, 0.1), False, 0.8, False),  # elsewhere
+    ],
+)
+def test_one_scan_that_fits_confirms_a_place_where_the_laser_was_expected(truth, lost, share, confirmed):
+    matcher, reference = Matcher(MatchingConfig(), 1), Ndt(NdtConfig())
+    reference.build(corner())
+    keys = [KeyScan(np.zeros(3), corner(), np.zeros_like(corner()))]
+    points = np.ascontiguousarray(transform(invert(np.array(truth)), corner()))
+    usual = matcher.match(points, reference, Prior(np.array(truth), np.diag((1e4, 1e4, 1e4)))).score
+    filter_ = ConstantVelocity(PredictionConfig())
+    near = matcher.match(points, reference, filter_.advance(URG_S), np.array((0.02, 0.02, 0.02)))
+    recovery = Recovery(filter_, URG_S)
+    place = recovery.look(points, near, matcher, reference, keys, usual, URG_S)
+    assert place is not None
+    assert np.abs(place.pose - truth).max() < 0.02
+    assert recovery.judge(share, URG_S, lost) is (True if confirmed else None)
+    assert recovery.trying != confirmed
+
+
 def test_a_hand_before_the_laser_and_a_few_points_are_no_view():
     ring = 0.08 * np.column_stack((np.cos(np.arange(100.0)), np.sin(np.arange(100.0))))
     assert covered(ring)
