@@ -296,7 +296,7 @@ def derivatives(points, origin, slots, normals, pose, blur, gradient, hessian, i
     Of each point: place, and unit normal of its wall or 0. A wall that the point does not belong to says
     nothing, and the point fits the less.
 
-    Block weights are held fixed: their slope compares the noise of neighbouring blocks and would pull points
+    Block weights and the walls' normals are held fixed: the weights' slope compares the noise of neighbouring blocks and would pull points
     along walls. `information` is the sum of w e J^T S^-1 J, never negative; `hessian` that of the score
     itself.
     """
