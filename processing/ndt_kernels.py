@@ -296,9 +296,9 @@ def derivatives(points, origin, slots, normals, pose, blur, gradient, hessian, i
     Of each point: place, and unit normal of its wall or 0. A wall that the point does not belong to says
     nothing, and the point fits the less.
 
-    Block weights and the walls' normals are held fixed: the weights' slope compares the noise of neighbouring blocks and would pull points
-    along walls. `information` is the sum of w e J^T S^-1 J, never negative; `hessian` that of the score
-    itself.
+    Block weights and the walls' normals are held fixed: the weights' slope compares the noise of
+    neighbouring blocks and would pull points along walls. `information` is the sum of w e J^T S^-1 J, never
+    negative; `hessian` that of the score itself.
     """
     rows, cols = slots.shape[1], slots.shape[2]
     inv = origin[2]
