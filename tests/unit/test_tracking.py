@@ -186,15 +186,20 @@ def test_a_lost_laser_is_known_the_worse_the_longer_nobody_saw_it():
     assert spread[-1][0] == pytest.approx(2.0 * PredictionConfig().speed_m_s, rel=0.1)
 
 
-@pytest.mark.parametrize(("hole_s", "found"), [(1.3, True), (0.1, False)])
-def test_where_the_motion_may_have_led_in_a_hole_a_scan_is_found_that_the_map_has_walls_before(hole_s, found):
+def beside(walls, truth):
+    """A map of walls seen from its origin, a scan of the corner from elsewhere, and how well it fits there."""
     matcher, reference = Matcher(MatchingConfig(), 1), Ndt(NdtConfig())
-    walls = np.vstack((corner(), ring(1.0)))
     reference.build(walls)
     keys = [KeyScan(np.zeros(3), walls, np.zeros_like(walls))]
+    points = np.ascontiguousarray(transform(invert(np.array(truth)), corner()))
+    usual = matcher.match(points, reference, Prior(np.array(truth), np.diag((1e4, 1e4, 1e4)))).score
+    return matcher, reference, keys, points, usual
+
+
+@pytest.mark.parametrize(("hole_s", "found"), [(1.3, True), (0.1, False)])
+def test_where_the_motion_may_have_led_in_a_hole_a_scan_is_found_that_the_map_has_walls_before(hole_s, found):
     truth = np.array((0.3, -0.2, 0.5))
-    points = np.ascontiguousarray(transform(invert(truth), corner()))
-    usual = matcher.match(points, reference, Prior(truth, np.diag((1e4, 1e4, 1e4)))).score
+    matcher, reference, keys, points, usual = beside(np.vstack((corner(), ring(1.0))), truth)
     filter_ = ConstantVelocity(PredictionConfig())
     near = matcher.match(points, reference, filter_.advance(hole_s), np.array((0.02, 0.02, 0.02)))
     place = Recovery(filter_, hole_s).look(points, near, matcher, reference, keys, usual, URG_S)
@@ -214,11 +219,7 @@ def test_where_the_motion_may_have_led_in_a_hole_a_scan_is_found_that_the_map_ha
     ],
 )
 def test_who_is_found_after_a_hole_where_the_motion_led_is_not_lost(hole_s, truth, found):
-    matcher, reference = Matcher(MatchingConfig(), 1), Ndt(NdtConfig())
-    reference.build(corner())
-    keys = [KeyScan(np.zeros(3), corner(), np.zeros_like(corner()))]
-    points = np.ascontiguousarray(transform(invert(np.array(truth)), corner()))
-    usual = matcher.match(points, reference, Prior(np.array(truth), np.diag((1e4, 1e4, 1e4)))).score
+    matcher, reference, keys, points, usual = beside(corner(), truth)
     watch, filter_ = watch_of(URG_S, usual), ConstantVelocity(PredictionConfig())
     near = matcher.match(points, reference, watch.expect(filter_, hole_s), np.array((0.02, 0.02, 0.02)))
     place, fits = watch.find(points, near, filter_, matcher, reference, keys)
@@ -237,11 +238,7 @@ def test_who_is_found_after_a_hole_where_the_motion_led_is_not_lost(hole_s, trut
     ],
 )
 def test_one_scan_that_fits_confirms_a_place_where_the_laser_was_expected(truth, lost, share, confirmed):
-    matcher, reference = Matcher(MatchingConfig(), 1), Ndt(NdtConfig())
-    reference.build(corner())
-    keys = [KeyScan(np.zeros(3), corner(), np.zeros_like(corner()))]
-    points = np.ascontiguousarray(transform(invert(np.array(truth)), corner()))
-    usual = matcher.match(points, reference, Prior(np.array(truth), np.diag((1e4, 1e4, 1e4)))).score
+    matcher, reference, keys, points, usual = beside(corner(), truth)
     filter_ = ConstantVelocity(PredictionConfig())
     near = matcher.match(points, reference, filter_.advance(URG_S), np.array((0.02, 0.02, 0.02)))
     recovery = Recovery(filter_, URG_S)
