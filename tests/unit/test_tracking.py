@@ -187,7 +187,7 @@ def test_a_lost_laser_is_known_the_worse_the_longer_nobody_saw_it():
 
 
 def beside(walls, truth):
-    """A map of walls seen from its origin, a scan of the corner from elsewhere, and how well it fits there."""
+    """A map of walls seen from its origin, a scan of the corner from elsewhere, how well it fits there."""
     matcher, reference = Matcher(MatchingConfig(), 1), Ndt(NdtConfig())
     reference.build(walls)
     keys = [KeyScan(np.zeros(3), walls, np.zeros_like(walls))]
