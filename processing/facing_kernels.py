@@ -13,6 +13,10 @@ REACH = 0.15
 """this share of the range."""
 LEAST = 4
 """Points that it takes."""
+GRAZING = 6.0
+"""A hit whose neighbours are so many times as far away as on a wall square to its ray is of one along it,"""
+LONE_M = 0.1
+"""where neighbouring rays are farther apart than this; nearer, it may be a thin thing: a leg of a chair."""
 
 
 @njit("f8(f8[::1], f8[::1])", cache=True, nogil=True)
@@ -85,6 +89,40 @@ def face(points, count, which, near_m, thin, normals):
                 thinnest = ratio
                 away = 1.0 if normal[0] * x + normal[1] * y > 0.0 else -1.0
                 normals[k, 0], normals[k, 1] = -away * normal[0], -away * normal[1]
+
+
+@njit("void(f8[:,::1], i8[::1], i8, i8[::1], f8, f8[:,::1])", cache=True, nogil=True)
+def lean(points, rays, count, which, increment_rad, normals):
+    """Give lone far hits that have no wall one that runs along their ray.
+
+    Of a laser of a degree between its rays, the last one along a corridor meets its side tens of metres
+    beyond the one before, and always equally far ahead: taken for a thing that stands there, it holds the
+    laser.
+
+    Args:
+        points: (N, 2) m, laser frame, in the order of their rays.
+        rays: (N,) numbers of these.
+        count: How many points there are.
+        which: (K,) numbers of those that are asked about.
+        increment_rad: Between neighbouring rays, > 0.
+        normals: (M, 2), M >= K, as `face` wrote them; filled in.
+    """
+    for k in range(which.shape[0]):
+        if normals[k, 0] != 0.0 or normals[k, 1] != 0.0:
+            continue
+        i = which[k]
+        x, y = points[i, 0], points[i, 1]
+        range_m = np.sqrt(x * x + y * y)
+        square_m = range_m * increment_rad
+        is_lone = square_m > LONE_M
+        for j in range(max(i - 1, 0), min(i + 2, count)):
+            if j != i:
+                u, v = points[j, 0] - x, points[j, 1] - y
+                is_near = u * u + v * v < (GRAZING * square_m) ** 2
+                # Both sides of a corridor are hit equally far ahead, and nothing between them: no wall.
+                is_lone = is_lone and not (is_near and abs(rays[j] - rays[i]) == 1)
+        if is_lone:
+            normals[k, 0], normals[k, 1] = -y / range_m, x / range_m
 
 
 @njit("i8(f8[:,::1], f8[:,::1], f8, f8, f8, f8, b1[::1])", cache=True, nogil=True)

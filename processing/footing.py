@@ -14,7 +14,7 @@ from processing.matching import Matcher, Matching
 from processing.ndt import Ndt, Oriented
 from processing.observability import View, view
 from processing.prediction import Twist
-from processing.se2 import transform
+from processing.se2 import Pose, transform
 from processing.walkers import Kind, Walkers
 
 Directions = NDArray[np.float64]
@@ -29,6 +29,8 @@ FEW = 2
 """So many small things may walk together."""
 WALKING_M_S = 1.0
 """A laser that has been as fast as people walk cannot tell them by their speed."""
+TELLING = 4.5
+"""Log of a ratio of likelihoods that leaves no doubt: that of three sigmas."""
 LEAST_POINTS = 10
 """Fewer points are no scan: nobody is left out then."""
 
@@ -115,16 +117,24 @@ class Footing:
         self._numbers = np.full(len(points), -1, np.int64)
         return points
 
-    def learn(self, points: Oriented, matching: Matching, reference: Ndt, limit_m: float) -> View:
+    def learn(
+        self, points: Oriented, matching: Matching, reference: Ndt, expected: Pose, limit_m: float
+    ) -> View:
         """Note by what the points that were left (M, 4) saw, and return what they saw.
 
         Args:
             points: As `leave_out` returned them.
             matching: Of them, in
             reference: this.
+            expected: (3,) where the scan should be.
             limit_m: Standard deviation from which a direction counts as not seen.
         """
         seen = view(matching.information, limit_m)
+        if len(seen.unseen):
+            held = seen.hold(matching.pose, expected)
+            if self._matcher.log_ratio(points, reference, matching.pose, held) > TELLING:
+                # However vaguely it tells where the laser is: it is not where it was expected.
+                seen = View(np.zeros((0, 2)), matching.information)
         leaning = seen.unseen
         if len(leaning) == 0 and self._rests_on_few(points, matching, reference, SURE_SHARE * limit_m):
             stands = self._matcher.information(points[self._kinds <= Kind.STANDS], reference, matching.pose)

@@ -18,13 +18,19 @@ from processing.se2 import Pose, wrap
 Matrix = NDArray[np.float64]
 
 
+REACH_SIGMAS = 2.5
+"""Where the prior allows more than the configured window, it is searched up to so many of its sigmas,"""
+MOST_REACH_M = 1.2
+"""but not so far that the next door of a corridor is in reach."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MatchingConfig:
     """Search, polish, and how much they trust the scan against the motion."""
 
     search: EvolutionConfig = field(default_factory=EvolutionConfig)
     window_m: float = 0.3
-    """Half side of the searched box around the prior."""
+    """Half side of the searched box around the prior; where the prior is vague, more is searched."""
     window_rad: float = 0.4
     """The same in rotation."""
     polish: bool = True
@@ -154,6 +160,24 @@ class Matcher:
             evaluations=evaluations,
             polish_steps=steps,
         )
+
+    def reach(self, prior: Prior) -> NDArray[np.float64]:
+        """Return the half sides (3,) of the box to search: as configured, more where the prior is vague."""
+        config = self.config
+        doubt_m = np.sqrt(np.diag(np.linalg.inv(prior.information))[:2])
+        x_m, y_m = np.clip(REACH_SIGMAS * doubt_m, config.window_m, max(config.window_m, MOST_REACH_M))
+        return np.array((x_m, y_m, config.window_rad))
+
+    def log_ratio(self, points: Oriented, reference: Ndt, one: Pose, other: Pose) -> float:
+        """Return how much more probable points (N, 4) are at one pose (3,) than at another: a logarithm."""
+        return self._log_likelihood(points, reference, one) - self._log_likelihood(points, reference, other)
+
+    def _log_likelihood(self, points: Oriented, reference: Ndt, pose: Pose) -> float:
+        value = reference.score(points, pose).value
+        if self.config.polish and reference.fine is not None:
+            share = self.config.fine_share
+            value = (1.0 - share) * value + share * reference.fine.score(points, pose).value
+        return self.config.score_weight * value
 
     def has_turned_on(self, pose: Pose, prior: Prior) -> bool:
         """Whether a pose (3,) is turned by more than the search around a prior reaches: the polish did."""

@@ -59,11 +59,8 @@ def blind_m(motion_m: float) -> float:
 
 def view(information: Matrix, limit_m: float = BLIND_M) -> View:
     """Tell what is seen from the information (3, 3) of a match: x, y (m), yaw (rad), up to a limit."""
-    shared = information[:2, 2]
-    # What is left of the position's information when the yaw is not known.
-    position = information[:2, :2] - np.outer(shared, shared) / max(float(information[2, 2]), 1e-9)
-    xx, xy, yy = float(position[0, 0]), float(position[0, 1]), float(position[1, 1])
-    if 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy) >= 1.0 / limit_m**2:
+    position = _of_position(information)
+    if _least(position) >= 1.0 / limit_m**2:
         # Nearly every scan sees every direction.
         return View(np.zeros((0, 2)), information)
     values, vectors = np.linalg.eigh(0.5 * (position + position.T))
@@ -71,6 +68,23 @@ def view(information: Matrix, limit_m: float = BLIND_M) -> View:
     seen = np.eye(3)
     seen[:2, :2] -= unseen.T @ unseen
     return View(unseen, np.asarray(seen @ information @ seen))
+
+
+def deviation_m(information: Matrix) -> float:
+    """Return the standard deviation of a match's position in the direction that it sees worst."""
+    return 1.0 / math.sqrt(max(_least(_of_position(information)), 1e-9))
+
+
+def _of_position(information: Matrix) -> Matrix:
+    """Return what is left (2, 2) of the information (3, 3) of the position when the yaw is not known."""
+    shared = information[:2, 2]
+    return np.asarray(information[:2, :2] - np.outer(shared, shared) / max(float(information[2, 2]), 1e-9))
+
+
+def _least(matrix: Matrix) -> float:
+    """Return the smaller eigenvalue of a symmetric matrix (2, 2)."""
+    xx, xy, yy = float(matrix[0, 0]), float(matrix[0, 1]), float(matrix[1, 1])
+    return 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
 
 
 class Blindness:
@@ -89,14 +103,15 @@ class Blindness:
             covariance: What the match claims.
             unseen: Unit vectors, on the axes of the covariance.
             duration_s: Time of the motion.
-            steady_s: For how long the velocity had been steady with which the laser is taken to go on.
+            steady_s: For how long the velocity had been steady with which the laser is taken to go on; a
+                sharp turn ends that, and what was unseen does not become better known.
         """
         if len(unseen) == 0:
             self._blind_s = 0.0
             return covariance
-        if self._blind_s == 0.0:
-            error_m_s = SPEED_ERROR_M_S * STEADY_S / max(min(steady_s, STEADY_S), 1e-3)
-            self._speed_m_s = min(error_m_s, UNSEEN_SPEED_M_S)
+        error_m_s = SPEED_ERROR_M_S * STEADY_S / max(min(steady_s, STEADY_S), 1e-3)
+        least_m_s = 0.0 if self._blind_s == 0.0 else self._speed_m_s
+        self._speed_m_s = max(least_m_s, min(error_m_s, UNSEEN_SPEED_M_S))
         before_s, self._blind_s = self._blind_s, self._blind_s + duration_s
         variance = self._speed_m_s**2 * (self._blind_s**2 - before_s**2)
         seen = np.eye(3)

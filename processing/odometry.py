@@ -13,21 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from processing.certainty import Certainty
+from processing.cruise import Cruise
 from processing.footing import Footing
 from processing.local_map import LocalMap
 from processing.matching import Matcher, Matching, MatchingConfig
 from processing.motion import Motion, anew_covariance, doubted_covariance, lost_covariance
 from processing.ndt import NdtConfig, Oriented
-from processing.observability import Blindness, blind_m
-from processing.prediction import (
-    ConstantVelocity,
-    Cruise,
-    PredictionConfig,
-    Prior,
-    exponential,
-    turned,
-    weakened,
-)
+from processing.observability import Blindness, blind_m, deviation_m
+from processing.prediction import ConstantVelocity, PredictionConfig, Prior, exponential, turned, weakened
 from processing.recovery import shaded
 from processing.saliency import Resampler, ResamplingConfig
 from processing.scan import Beams, Scan
@@ -159,12 +152,12 @@ class LaserOdometry:
         sees = len(points) > 0 and not shaded(points)
         if prior is not None and sees:
             self._local.face(prior.pose)
-            matching = self._matcher.match(points, self._local.reference, prior)
+            matching = self._match(points, prior)
             if self._is_bent(scan, matching, resampler, middle_s):
                 prior = self._filter.prior()
                 ends = resampler.points(scan, self._filter.twist, middle_s)
                 points = self._footing.trust(resampler.oriented_means(self._walls))
-                matching = self._matcher.match(points, self._local.reference, prior)
+                matching = self._match(points, prior)
             matching, fits = self._locate(points, matching, prior, watch)
         if prior is not None and not fits:
             watch.miss(self._filter, missed)
@@ -222,7 +215,7 @@ class LaserOdometry:
         """
         was_firm = self._footing.firm
         limit_m = blind_m(self._filter.drift_m(duration_s))
-        seen = self._footing.learn(points, matching, self._local.reference, limit_m)
+        seen = self._footing.learn(points, matching, self._local.reference, prior.pose, limit_m)
         pose = seen.hold(matching.pose, prior.pose)
         information = turned(seen.information, -pose[2])
         if self._watch.doubtful:
@@ -236,14 +229,19 @@ class LaserOdometry:
         # The first motion that is seen again takes back what was wrong before: it is no velocity.
         firm = was_firm and self._footing.firm
         if firm and old_pose is not None and not self._watch.doubtful:
-            self._cruise.see(between(old_pose, pose), duration_s)
+            self._cruise.see(between(old_pose, pose), duration_s, deviation_m(matching.information))
             self._footing.believe(self._filter.twist)
         return unseen
+
+    def _match(self, points: Oriented, prior: Prior) -> Matching:
+        # Whoever set out unseen may be farther away than any robot goes from scan to scan.
+        reach = self._matcher.reach(prior) if self.config.reference == "local_map" else None
+        return self._matcher.match(points, self._local.reference, prior, reach)
 
     def _steady(self) -> NDArray[np.float64]:
         """Return the velocity (2,), laser frame, that the laser has had, as far as walls told."""
         twist = self._footing.sure_twist(self._filter.twist)
-        return self._cruise.velocity(twist, self._filter.doubt_m_s)
+        return self._cruise.velocity(twist, self._filter.doubt_m_s, float(self._filter.twist[2]))
 
     def _is_bent(self, scan: Scan, matching: Matching, resampler: Resampler, middle_s: float) -> bool:
         """Whether a scan fits badly because the laser began to turn; the filter knows the rate then."""

@@ -5,9 +5,7 @@ frame. It never sees a clock: the time between two scans is the sensor's own per
 jitter by half a period, and a velocity divided by such a time throws the track off.
 """
 
-from collections import deque
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,22 +15,6 @@ from processing.se2 import Pose, between, compose, invert, wrap
 Twist = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-CRUISE_S = (8.0, 6.0, 4.0, 3.0, 2.0, 1.0, 0.5)
-"""Times over which a velocity may have been steady, the longest first."""
-EVEN_M_S = 0.03
-"""What the means of the two halves of such a time may differ by."""
-TURNING_RAD_S = 0.1
-"""Who turns faster drives at another speed than straight on,"""
-TURNING_S = 0.5
-"""in the mean over so long."""
-STEADY_M_S = 0.15
-"""What the filter's velocity may be off a steady one, if it does not know itself to be worse; farther, and
-the laser has changed its speed."""
-USUAL_S = 2.0
-"""A velocity that was steady for so long is the one that the laser takes up again when it speeds up."""
-STANDING_M_S = 0.05
-"""Who is slower stands, as far as matches tell. One that has not stood for USUAL_S yet, as after a turn on
-the spot, may set out at any moment: that it stands is no velocity to go on with."""
 LEAST_INFORMATION = 1e-6
 """Keeps what is not seen at all finite, 1/m^2 and 1/rad^2."""
 
@@ -113,101 +95,6 @@ def weakened(information_laser: Matrix, prior: Prior, pose: Pose) -> Matrix:
     off = logarithm(between(prior.pose, pose))
     claimed = np.linalg.inv(information_laser + LEAST_INFORMATION * np.eye(3))
     return np.asarray(np.linalg.inv(claimed + expected + np.outer(off, off)))
-
-
-class Cruise:
-    """The velocity that the laser has had for a while: where its way is not seen, it goes on with it.
-
-    The filter follows every jerk, and so the noise of every match; a mean over seconds of what was seen is
-    known many times as well.
-    """
-
-    def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
-        self._counts = [max(1, round(window_s / period_s)) for window_s in CRUISE_S]
-        self._turning = max(1, round(TURNING_S / period_s))
-        self._seen: deque[Twist] = deque(maxlen=self._counts[0])
-        self._held: NDArray[np.float64] | None = None
-        self._usual: NDArray[np.float64] | None = None
-        self._long = max(2, round(USUAL_S / period_s))
-        self.steady_s = 0.0
-        """For how long the velocity last returned had been steady; 0 if it was not."""
-
-    def see(self, motion: Pose, duration_s: float) -> None:
-        """Take in a motion (3,) of which every direction was seen."""
-        self._seen.append(logarithm(motion) / duration_s)
-        self._held = None
-        newest = np.array(list(islice(reversed(self._seen), self._long)))
-        if len(newest) == self._long and _is_straight(newest) and _is_even(newest[:, :2]):
-            self._usual = newest[:, :2].mean(axis=0)
-
-    def velocity(self, twist: Twist, doubt_m_s: float) -> NDArray[np.float64]:
-        """Return the velocity (2,), laser frame, to go on with until everything is seen again.
-
-        It is the mean over the longest time since the last turn in which it was about the present one and
-        did not change; the present one if there is none.
-
-        Args:
-            twist: (3,) of the filter: the present one, roughly.
-            doubt_m_s: How far the filter's velocity may be off, one sigma: the last scans before nothing is
-                seen any more know so little that it can be off by most of itself.
-        """
-        if self._held is None:
-            off_m_s = max(STEADY_M_S, doubt_m_s)
-            straight = self._straight(np.array((*self._seen, twist)))
-            windows = (straight[-count:] for count in self._counts)
-            means = ((window.mean(axis=0), len(window)) for window in windows if _is_even(window))
-            steady = ((mean, count) for mean, count in means if np.hypot(*(mean - twist[:2])) < off_m_s)
-            self._held, count = next(steady, (self._aim(twist), 0))
-            sets_out = np.hypot(*self._held) < STANDING_M_S and count < self._long
-            self.steady_s = 0.0 if sets_out else count * self._period_s
-        return self._held
-
-    def _aim(self, twist: Twist) -> NDArray[np.float64]:
-        """Return the velocity (2,) of a laser that has no steady one: the usual one, if it speeds up to it.
-
-        Who comes out of a turn into a corridor where nothing is seen drives on as before the turn, and not as
-        slowly as at its end.
-
-        Args:
-            twist: (3,) the present one.
-        """
-        usual = self._usual
-        if usual is None or np.linalg.norm(usual) < EVEN_M_S:
-            return twist[:2].copy()
-        ahead = usual / np.linalg.norm(usual)
-        speeds = np.array(list(islice(reversed(self._seen), 2 * self._turning)))[::-1, :2] @ ahead
-        half = len(speeds) // 2
-        rises = half > 0 and speeds[half:].mean() > speeds[:half].mean() + EVEN_M_S
-        below = EVEN_M_S < float(twist[:2] @ ahead) < float(usual @ ahead)
-        return usual.copy() if rises and below else twist[:2].copy()
-
-    def _straight(self, twists: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the velocities (M, 2) since the last turn, of the shortest time at least."""
-        count = min(self._turning, len(twists))
-        turn_rates = np.convolve(twists[:, 2], np.full(count, 1.0 / count), mode="same")
-        turns = np.flatnonzero(np.abs(turn_rates) > TURNING_RAD_S)
-        first = int(turns[-1]) + 1 if len(turns) else 0
-        return twists[min(first, max(0, len(twists) - self._counts[-1])) :, :2]
-
-    def forget(self) -> None:
-        """Begin anew: what was is no more."""
-        self._seen.clear()
-        self._held = self._usual = None
-
-
-def _is_straight(twists: NDArray[np.float64]) -> bool:
-    """Whether twists (M, 3), M >= 1, do not turn."""
-    return abs(float(twists[:, 2].mean())) < TURNING_RAD_S
-
-
-def _is_even(velocities: NDArray[np.float64]) -> bool:
-    """Whether velocities (M, 2), M >= 1, are the same in both halves of their time."""
-    half = len(velocities) // 2
-    if half == 0:
-        return True
-    change = velocities[half:].mean(axis=0) - velocities[:half].mean(axis=0)
-    return bool(np.hypot(change[0], change[1]) < EVEN_M_S)
 
 
 class ConstantVelocity:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from processing.facing_kernels import NEAR_M, STRAIGHT, STRAIGHT_M, THIN, face
+from processing.facing_kernels import NEAR_M, STRAIGHT, STRAIGHT_M, THIN, face, lean
 from processing.saliency_kernels import end_points, resample
 from processing.scan import Beams, Scan
 from processing.wall_kernels import fill_walls
@@ -123,7 +123,8 @@ class Resampler:
             walls: Whether these are looked for.
 
         Returns:
-            (K, 4): place, and unit normal of the wall towards the laser, 0 for points of no wall.
+            (K, 4): place, and unit normal of the wall towards the laser, 0 for points of no wall. Lone hits
+            far away count as of walls along their rays.
         """
         means = self.means()
         if not walls:
@@ -132,6 +133,7 @@ class Resampler:
         middles = np.cumsum(members) - (members + 1) // 2 if self._wanted else self._numbers[: len(means)]
         normals = np.empty_like(means)
         face(self._points, self._count, middles, STRAIGHT_M, STRAIGHT, normals)
+        lean(self._points, self._rays, self._count, middles, abs(self.beams.angle_increment_rad), normals)
         return np.hstack((means, normals))
 
     def spans_m(self, count: int) -> NDArray[np.float64]:

@@ -34,7 +34,7 @@ def drive(person_m_s, twist=DRIVES, scans=25, walkers=True):
         points = footing.leave_out(np.vstack((WALLS, LEGS + at)), spans, 0.0, twist, PERIOD_S)
         kept.append(len(points) - len(WALLS))
         matching = matcher.match(points, reference, Prior(np.zeros(3), 1e8 * np.eye(3)))
-        footing.learn(points, matching, reference, 0.03)
+        footing.learn(points, matching, reference, np.zeros(3), 0.03)
     return footing, kept
 
 
@@ -87,5 +87,23 @@ def test_many_small_things_cannot_all_walk_the_same_way():
     spans = np.concatenate((np.full(len(WALLS), 8.0), np.full(len(chairs), 0.2)))
     footing = Footing(matcher, True)
     left = footing.leave_out(points, spans, 0.0, DRIVES, PERIOD_S)
-    footing.learn(left, matcher.match(left, reference, Prior(np.zeros(3), 1e8 * np.eye(3))), reference, 0.03)
+    matching = matcher.match(left, reference, Prior(np.zeros(3), 1e8 * np.eye(3)))
+    footing.learn(left, matching, reference, np.zeros(3), 0.03)
     assert footing.firm
+
+
+@pytest.mark.parametrize(("expected_m", "seen"), [(0.0, False), (1.0, True)])
+def test_where_it_cannot_be_is_seen_even_if_where_it_is_is_seen_vaguely(expected_m, seen):
+    # Each point tells across its wall only, so that nothing tells along; doors are a little deeper.
+    matcher, doors = Matcher(MatchingConfig(), 1), (np.abs(ALONG_M) % 2.0 < 0.7) * 0.15
+    sides = [np.column_stack((ALONG_M, sign * (1.05 + doors))) for sign in (-1.0, 1.0)]
+    reference = Ndt(NdtConfig())
+    reference.build(np.vstack(sides))
+    walls = np.vstack(
+        [np.hstack((side, np.tile((0.0, -np.sign(side[0, 1])), (len(side), 1)))) for side in sides]
+    )
+    matching = matcher.match(walls, reference, Prior(np.zeros(3), 1e8 * np.eye(3)))
+    footing = Footing(matcher, True)
+    footing.leave_out(walls, np.full(len(walls), 8.0), 0.0, DRIVES, PERIOD_S)
+    view = footing.learn(walls, matching, reference, np.array((expected_m, 0.0, 0.0)), 0.015)
+    assert (len(view.unseen) == 0) == seen

@@ -63,6 +63,7 @@ TWINS = {
     "facing_kernels": {
         "across": "unit/test_local_map.py::test_the_compiled_normals_are_the_plain_ones",
         "face": "unit/test_local_map.py::test_the_compiled_normals_are_the_plain_ones",
+        "lean": "unit/test_local_map.py::test_lone_far_hits_are_those_of_the_plain_twin",
         "look_behind": "unit/test_local_map.py::test_what_is_seen_from_behind_is_that_of_the_plain_twin",
     },
     "sight_kernels": {"": "unit/test_sightlines.py::test_the_compiled_look_back_is_the_plain_one"},

@@ -100,6 +100,46 @@ def test_a_wall_faces_the_laser_up_to_its_corner():
     assert (normals[84:89] @ (0.0, -1.0) > 0.95).all()
 
 
+def leaned(points, rays, increment_rad, normals=None):
+    normals = np.zeros((len(points), 2)) if normals is None else normals
+    facing.lean(points, rays, len(points), np.arange(len(points)), increment_rad, normals)
+    return normals
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_lone_far_hits_are_those_of_the_plain_twin(seed):
+    rng = np.random.default_rng(seed)
+    increment_rad = float(rng.uniform(0.002, 0.03))
+    rays = np.flatnonzero(rng.random(120) < 0.8)
+    ranges_m = np.repeat(rng.uniform(0.5, 60.0, 40), 3)[rays] + rng.normal(0.0, 0.02, len(rays))
+    points = ranges_m[:, None] * np.column_stack((np.cos(increment_rad * rays), np.sin(increment_rad * rays)))
+    normals = np.where(rng.random((len(points), 1)) < 0.2, (0.6, 0.8), 0.0)
+    expected = normals.copy()
+    for i, point in enumerate(points):
+        square_m = increment_rad * np.hypot(*point)
+        beside = [j for j in (i - 1, i + 1) if 0 <= j < len(rays) and abs(rays[j] - rays[i]) == 1]
+        near = any(np.hypot(*(points[j] - point)) < facing.GRAZING * square_m for j in beside)
+        if not normals[i].any() and square_m > facing.LONE_M and not near:
+            expected[i] = np.array((-point[1], point[0])) / np.hypot(*point)
+    np.testing.assert_allclose(leaned(points, rays, increment_rad, normals), expected, atol=1e-12)
+
+
+def test_the_last_rays_along_a_corridor_tell_across_them_and_its_end_and_a_post_tell_all():
+    rays = np.arange(-4, 5)
+    rays = rays[rays != 0]
+    bearings = np.radians(rays)
+    directions = np.column_stack((np.cos(bearings), np.sin(bearings)))
+    sides = directions * (1.08 / np.abs(np.sin(bearings)))[:, None]
+    across = (leaned(sides, rays, np.radians(1.0)) * directions).sum(axis=1)
+    np.testing.assert_allclose(across, 0.0, atol=1e-12)
+    assert (leaned(sides, rays, np.radians(1.0)) != 0.0).any(axis=1).all()
+    end = directions * (20.0 / np.cos(bearings))[:, None]
+    assert (leaned(end, rays, np.radians(1.0))[2:6] == 0.0).all()
+    # Nothing is nearer to a thin thing than what is behind it, and yet it stands there.
+    post = np.vstack((sides[:3], (3.0, 0.0), sides[5:]))
+    assert (leaned(post, np.array((-4, -3, -2, 0, 2, 3, 4)), np.radians(1.0))[3] == 0.0).all()
+
+
 @given(st.integers(0, 2**32 - 1))
 def test_what_is_seen_from_behind_is_that_of_the_plain_twin(seed):
     rng = np.random.default_rng(seed)

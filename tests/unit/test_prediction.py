@@ -5,7 +5,6 @@ import pytest
 
 from processing.prediction import (
     ConstantVelocity,
-    Cruise,
     PredictionConfig,
     Prior,
     adjoint,
@@ -229,100 +228,6 @@ def test_the_expectation_is_given_on_the_axes_of_the_odometry():
 def test_a_filter_that_cannot_be_is_refused(name, value):
     with pytest.raises(ValueError, match=name):
         PredictionConfig(**{name: value})
-
-
-def test_a_steady_velocity_is_the_mean_of_the_longest_time_that_agrees_with_the_present_one():
-    rng = np.random.default_rng(3)
-    cruise, twist = Cruise(0.1), np.array((0.35, 0.0, 0.0))
-    for _ in range(80):
-        cruise.see(exponential(0.1 * np.array((0.3 + rng.normal(0.0, 0.05), 0.0, 0.05))), 0.1)
-    held = cruise.velocity(twist, 0.1)
-    # A half second of it would be off by 0.02.
-    assert held[0] == pytest.approx(0.3, abs=0.01)
-    assert cruise.steady_s == pytest.approx(8.0, abs=0.2)
-    # It stays until everything is seen again, whatever the filter makes of it.
-    assert cruise.velocity(np.array((0.0, 0.0, 0.0)), 0.1) is held
-
-
-def test_two_last_scans_that_hardly_see_do_not_change_the_velocity_of_seconds():
-    cruise = Cruise(0.1)
-    for speed in (0.3,) * 78 + (0.2, 0.1):
-        cruise.see(exponential(0.1 * np.array((speed, 0.0, 0.0))), 0.1)
-    # A filter that knows its velocity is believed, and one that does not is not.
-    assert cruise.velocity(np.array((0.1, 0.0, 0.0)), 0.3)[0] == pytest.approx(0.3, abs=0.01)
-    cruise.see(exponential(0.1 * np.array((0.1, 0.0, 0.0))), 0.1)
-    assert cruise.velocity(np.array((0.1, 0.0, 0.0)), 0.05)[0] < 0.15
-
-
-def test_after_a_stop_the_way_before_it_does_not_count():
-    cruise = Cruise(0.1)
-    for speed in (0.6,) * 15 + (0.0,) * 5:
-        cruise.see(exponential(np.array((0.1 * speed, 0.0, 0.0))), 0.1)
-    assert cruise.velocity(np.zeros(3), 0.1)[0] == pytest.approx(0.0, abs=1e-9)
-    cruise.forget()
-    assert cruise.velocity(np.array((0.2, 0.1, 0.0)), 0.1) == pytest.approx((0.2, 0.1))
-
-
-def test_who_comes_out_of_a_turn_goes_on_as_straight_on_and_not_as_in_the_turn():
-    cruise = Cruise(0.1)
-    for speed, turn_rate in ((0.28, 0.8),) * 30 + ((0.3, 0.0),) * 15:
-        cruise.see(exponential(0.1 * np.array((speed, 0.0, turn_rate))), 0.1)
-    assert cruise.velocity(np.array((0.3, 0.0, 0.0)), 0.1)[0] == pytest.approx(0.3, abs=1e-3)
-    # Still turning, there is nothing better than the newest moment.
-    for _ in range(10):
-        cruise.see(exponential(0.1 * np.array((0.28, 0.0, 0.8))), 0.1)
-    assert cruise.velocity(np.array((0.28, 0.0, 0.8)), 0.1)[0] == pytest.approx(0.28, abs=1e-3)
-    assert cruise.steady_s <= 0.5
-
-
-@pytest.mark.parametrize(
-    ("out_of_the_turn", "goes_on_with"),
-    [
-        ((0.1, 0.2, 0.3, 0.4), 0.8),  # speeds up: to what it had
-        ((0.4, 0.3, 0.2, 0.1), 0.2),  # slows down
-        ((0.4, 0.4, 0.4, 0.4), 0.4),  # is slow and stays it
-        ((0.7, 0.9, 1.1, 1.3), 0.9),  # is faster than it was
-        ((-0.1, -0.2, -0.3, -0.4), -0.2),  # backs off
-    ],
-)
-def test_who_speeds_up_again_after_a_turn_goes_on_as_fast_as_before_it(out_of_the_turn, goes_on_with):
-    cruise = Cruise(0.2)
-    for speed, turn_rate in ((0.8, 0.0),) * 20 + ((0.1, 1.0),) * 10:
-        cruise.see(exponential(0.2 * np.array((speed, 0.0, turn_rate))), 0.2)
-    for speed in out_of_the_turn:
-        cruise.see(exponential(0.2 * np.array((speed, 0.0, 0.5))), 0.2)
-    # The middle one of the last five, which is what the laser is sure of.
-    present = np.array((np.median((0.1, *out_of_the_turn)), 0.0, 0.5))
-    assert cruise.velocity(present, 0.01)[0] == pytest.approx(goes_on_with, abs=0.05)
-    # Nobody has seen that it goes so fast.
-    assert cruise.steady_s <= 0.5
-
-
-def test_one_that_has_hardly_stood_still_has_no_velocity_to_go_on_with():
-    cruise = Cruise(0.2)
-    for turn_rate in (0.5,) * 10 + (0.0,) * 5:
-        cruise.see(exponential(0.2 * np.array((0.01, 0.0, turn_rate))), 0.2)
-    assert cruise.velocity(np.zeros(3), 0.01) == pytest.approx((0.0, 0.0), abs=0.02)
-    assert cruise.steady_s == 0.0
-    for _ in range(6):
-        cruise.see(np.zeros(3), 0.2)
-    assert cruise.velocity(np.zeros(3), 0.01) == pytest.approx((0.0, 0.0), abs=0.02)
-    assert cruise.steady_s >= 2.0
-
-
-def test_a_velocity_that_grows_is_that_of_the_last_moments():
-    cruise = Cruise(0.1)
-    for speed in np.linspace(0.0, 0.4, 80):
-        cruise.see(exponential(np.array((0.1 * speed, 0.0, 0.0))), 0.1)
-    # Half of eight seconds of it would be 0.2.
-    assert cruise.velocity(np.array((0.4, 0.0, 0.0)), 0.1)[0] == pytest.approx(0.4, abs=0.05)
-    assert cruise.steady_s <= 1.0
-    # Faster than a velocity can be called steady in any time.
-    hasty = Cruise(0.1)
-    for speed in (0.0, 0.2, 0.4, 0.6):
-        hasty.see(exponential(np.array((0.1 * speed, 0.0, 0.0))), 0.1)
-    assert hasty.velocity(np.array((0.8, 0.0, 0.0)), 0.1)[0] == pytest.approx(0.8)
-    assert hasty.steady_s == 0.0
 
 
 def test_the_filter_takes_up_a_velocity_along_what_is_not_seen_only():
