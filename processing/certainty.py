@@ -35,12 +35,19 @@ class RayNoise:
 
     def __init__(self) -> None:
         self._variance_m2: float | None = None
+        self._rays_a_point = 1
+
+    @property
+    def ray_m(self) -> float:
+        """Standard deviation of a single ray; 0 until a scan told."""
+        return float(np.sqrt((self._variance_m2 or 0.0) * self._rays_a_point))
 
     def watch(self, scan: Scan, rays_a_point: int) -> float:
         """Take a scan in, and return the variance of the mean of so many rays.
 
         Along a straight wall 1/r is a sine of the bearing: what is left of it in second differences is noise.
         """
+        self._rays_a_point = rays_a_point
         whole = scan.ranges_m[: len(scan.ranges_m) // rays_a_point * rays_a_point].astype(np.float64)
         valid = (whole >= scan.beams.range_min_m) & (whole <= scan.beams.range_max_m) & (whole > 0.0)
         inverse = np.where(valid, 1.0 / np.where(valid, whole, 1.0), np.nan)
@@ -60,7 +67,7 @@ class Certainty:
     """Keeps what the scans so far told about their noise, and judges each motion by it."""
 
     def __init__(self, score_weight: float, fine_share: float) -> None:
-        self._noise = RayNoise()
+        self.noise = RayNoise()
         self._score_weight = score_weight
         self._fine_share = fine_share
         self._spreads = np.empty((2, 3, 3))
@@ -86,7 +93,7 @@ class Certainty:
             twists: Velocity (3,) before the match and after it.
             middle_s: Time from the first ray, where the motion ends, to the moment that was matched.
         """
-        noise_m2 = self._noise.watch(scan, max(1, round(rays / len(points))))
+        noise_m2 = self.noise.watch(scan, max(1, round(rays / len(points))))
         fine = reference if reference.fine is None else reference.fine
         share = 0.0 if reference.fine is None else self._fine_share
         spreads(oriented(points), reference.grid, fine.grid, share, matching.pose, self._spreads)

@@ -18,6 +18,10 @@ from processing.se2 import Pose, wrap
 Matrix = NDArray[np.float64]
 
 
+PARTS = 6
+"""A sweep is cut in so many to ask when it saw what it tells."""
+LEAST_INFORMATION = 1e-6
+"""Keeps what is not seen at all finite, 1/m^2 and 1/rad^2."""
 REACH_SIGMAS = 2.5
 """Where the prior allows more than the configured window, it is searched up to so many of its sigmas,"""
 MOST_REACH_M = 1.2
@@ -160,6 +164,28 @@ class Matcher:
             evaluations=evaluations,
             polish_steps=steps,
         )
+
+    def telling_s(
+        self, points: Oriented, seen_s: NDArray[np.float64], reference: Ndt, matching: Matching
+    ) -> Matrix:
+        """Return when what a match tells was seen: the mean time of the points, weighed by their information.
+
+        Args:
+            points: (N, 4) in the order of their rays, and
+            seen_s: (N,) when each was seen.
+            reference: What they were matched against.
+            matching: Where they fit.
+
+        Returns:
+            (3, 3), reference axes: what a twist (3,) has moved the points by when they were seen.
+        """
+        weighed, total = np.zeros((3, 3)), LEAST_INFORMATION * np.eye(3)
+        for part in np.array_split(np.arange(len(points)), PARTS):
+            if len(part):
+                information = self.information(points[part], reference, matching.pose)
+                weighed += float(seen_s[part].mean()) * information
+                total += information
+        return np.asarray(np.linalg.solve(total, weighed))
 
     def reach(self, prior: Prior) -> NDArray[np.float64]:
         """Return the half sides (3,) of the box to search: as configured, more where the prior is vague."""

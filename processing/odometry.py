@@ -28,6 +28,8 @@ from processing.se2 import Pose, between, compose, snap_yaw, transform
 from processing.straightening import Straightener
 from processing.tracking import Watch
 
+SLOW_SHARE = 0.8
+"""A sweep that takes more of the time from scan to scan is slow."""
 SHAKEN = np.array((0.05, 0.05, 0.015))
 """How far each motion may be off, one sigma, while something large moves before the laser; m, m, rad."""
 
@@ -142,7 +144,7 @@ class LaserOdometry:
         prior = watch.expect(self._filter, duration_s) if self._local.keys else None
         twist = self._filter.twist if self.config.deskew else np.zeros(3)
         ends = resampler.points(scan, twist, middle_s)
-        points = resampler.oriented_means(self._walls)
+        points = resampler.oriented_means(self._walls, self._certainty.noise.ray_m)
         if prior is not None:
             taken = self._filter.twist if self._footing.firm else self._steady()
             spans_m = resampler.spans_m(len(points))
@@ -156,7 +158,8 @@ class LaserOdometry:
             if self._is_bent(scan, matching, resampler, middle_s):
                 prior = self._filter.prior()
                 ends = resampler.points(scan, self._filter.twist, middle_s)
-                points = self._footing.trust(resampler.oriented_means(self._walls))
+                noise_m = self._certainty.noise.ray_m
+                points = self._footing.trust(resampler.oriented_means(self._walls, noise_m))
                 matching = self._match(points, prior)
             matching, fits = self._locate(points, matching, prior, watch)
         if prior is not None and not fits:
@@ -185,6 +188,7 @@ class LaserOdometry:
             watch.remember(transform(self._filter.pose, ends))
         key = anew or (fits and not watch.doubtful and self._is_key())
         if key:
+            resampler.points(scan, self._filter.twist if self.config.deskew else np.zeros(3), middle_s)
             whole = self.config.reference_points == "all"
             seen = resampler.filled(self.config.fill_m) if whole else (points[:, :2], points[:, 2:])
             self._local.add(self._filter.pose, *seen)
@@ -220,7 +224,8 @@ class LaserOdometry:
         information = turned(seen.information, -pose[2])
         if self._watch.doubtful:
             information = weakened(information, prior, pose)
-        self._filter.correct(pose, information)
+        fits = old_pose is not None
+        self._filter.correct(pose, information, self._telling_s(points, matching) if fits else None)
         unseen = _in_laser(seen.unseen, pose[2])
         if len(unseen):
             velocity = self._steady()
@@ -232,6 +237,17 @@ class LaserOdometry:
             self._cruise.see(between(old_pose, pose), duration_s, deviation_m(matching.information))
             self._footing.believe(self._filter.twist)
         return unseen
+
+    def _telling_s(self, points: Oriented, matching: Matching) -> Matrix | None:
+        """Return when the points (N, 4) of a slow sweep that tell were seen, on the laser's axes."""
+        beams = self._resampler.beams
+        if not (self.config.deskew and beams.sweep_s > SLOW_SHARE * beams.period_s):
+            return None
+        swept_rad = np.arctan2(points[:, 1], points[:, 0]) - beams.angle_min_rad
+        swept_rad = np.mod(np.sign(beams.angle_increment_rad) * swept_rad, 2.0 * np.pi)
+        seen_s = swept_rad / abs(beams.angle_increment_rad) * beams.time_increment_s - 0.5 * beams.sweep_s
+        told_s = self._matcher.telling_s(points, seen_s, self._local.reference, matching)
+        return turned(told_s, -matching.pose[2])
 
     def _match(self, points: Oriented, prior: Prior) -> Matching:
         # Whoever set out unseen may be farther away than any robot goes from scan to scan.

@@ -182,22 +182,28 @@ class ConstantVelocity:
         """Take up a velocity (2,) along unseen directions (K, 2), both in the laser's frame."""
         self.twist[:2] += unseen.T @ (unseen @ (velocity - self.twist[:2]))
 
-    def correct(self, pose: Pose, information_laser: Matrix) -> Twist:
+    def correct(self, pose: Pose, information_laser: Matrix, telling_s: Matrix | None = None) -> Twist:
         """Take the pose (3,) found by matching, prior included; return how far it is from the expected one.
+
+        What tells of a slow sweep may all have been seen at its end; a wrong velocity has moved it till then,
+        and the pose that was found is wrong by as much. Taken for a pose of the middle, it makes the velocity
+        swing from scan to scan.
 
         Args:
             pose: Most probable pose given the prior and the scan, odometry frame.
             information_laser: (3, 3) information of the scan alone, on the laser's axes.
+            telling_s: (3, 3) how long after the middle of the sweep it was seen, on the laser's axes: see
+                `Matcher.telling_s`. None if all of it is of one instant.
         """
         innovation = logarithm(between(self.pose, pose))
-        expected = self.covariance[:3, :3]
-        inverse = np.linalg.inv(expected)
-        found = np.linalg.inv(inverse + information_laser)
-        # The pose is given, so the twist follows it by their correlation, and the covariance shrinks by as
-        # much.
-        gain = self.covariance[:, :3] @ inverse
-        self.twist = self.twist + gain[3:] @ innovation
-        self.covariance = self.covariance - gain @ (expected - found) @ gain.T
+        look = np.hstack((np.eye(3), np.zeros((3, 3)) if telling_s is None else telling_s))
+        spread = self.covariance @ look.T
+        # Kalman's gain times what the scan alone measured; that is what the prior has been added to.
+        gain = spread @ np.linalg.inv(np.eye(3) + information_laser @ (look @ spread))
+        prior = np.linalg.inv(self.covariance[:3, :3])
+        change = gain @ (information_laser + prior) @ innovation
+        self.covariance = self.covariance - gain @ information_laser @ spread.T
         self.covariance = 0.5 * (self.covariance + self.covariance.T)
-        self.pose = pose
+        self.twist = self.twist + change[3:]
+        self.pose = pose if telling_s is None else compose(self.pose, exponential(change[:3]))
         return innovation

@@ -17,6 +17,8 @@ from processing.saliency_kernels import end_points, resample
 from processing.scan import Beams, Scan
 from processing.wall_kernels import fill_walls
 
+LENGTH_A_NOISE = 25.0
+"""Of so many times its noise on both sides a wall looks a fifteenth as thick as long: thin enough."""
 MOST_FILLED = 4000
 """Room for points between the rays of a sweep."""
 
@@ -116,11 +118,13 @@ class Resampler:
         )
         return self._means[:written].copy()
 
-    def oriented_means(self, walls: bool = True) -> NDArray[np.float64]:
+    def oriented_means(self, walls: bool = True, noise_m: float = 0.0) -> NDArray[np.float64]:
         """Return the same as `means` with the straight walls that they are on.
 
         Args:
             walls: Whether these are looked for.
+            noise_m: Standard deviation of a ray: through a noisy laser, a wall must be seen for longer to be
+                told to be straight.
 
         Returns:
             (K, 4): place, and unit normal of the wall towards the laser, 0 for points of no wall. Lone hits
@@ -132,7 +136,8 @@ class Resampler:
         members = self._members[: len(means)]
         middles = np.cumsum(members) - (members + 1) // 2 if self._wanted else self._numbers[: len(means)]
         normals = np.empty_like(means)
-        face(self._points, self._count, middles, STRAIGHT_M, STRAIGHT, normals)
+        straight_m = max(STRAIGHT_M, LENGTH_A_NOISE * noise_m)
+        face(self._points, self._count, middles, straight_m, STRAIGHT, normals)
         lean(self._points, self._rays, self._count, middles, abs(self.beams.angle_increment_rad), normals)
         return np.hstack((means, normals))
 

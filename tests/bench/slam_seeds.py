@@ -81,6 +81,11 @@ def _floor(laser: Callable, people: int, bound_m: float, **drive) -> Callable:
     return make
 
 
+def _dim() -> world.Spinning:
+    """A laser as the cheapest are: it sees half as far, and is half as good again."""
+    return world.Spinning(range_max_m=6.0, noise_m=0.03)
+
+
 def _campus(seed: int) -> Drive:
     """A long way through long corridors: another building with each seed."""
     return _simulated(
@@ -238,6 +243,7 @@ COURSES: dict[str, Callable[[int], Drive | None]] = {
     "floor SICK, people": _floor(world.Sick, 6, 0.1, speed_mps=0.6, turn_rate_radps=1.2),
     "floor URG": _floor(world.Urg04lx, 0, 0.2, speed_mps=0.4),
     "floor URG, people": _floor(world.Urg04lx, 6, 0.2, speed_mps=0.4),
+    "floor spinning, dim": _floor(_dim, 0, 0.1, speed_mps=0.6, turn_rate_radps=1.5),
     "floor spinning": _floor(world.Spinning, 0, 0.1, speed_mps=0.6, turn_rate_radps=1.5),
     "campus SICK": _campus,
     "pillars": _simulated(lambda: world.pillar_hall(20.0, 12.0), 0.1),

@@ -77,6 +77,15 @@ def test_the_noise_of_the_rays_is_read_from_a_wall(noise_m, rays):
     assert np.sqrt(variance * rays) == pytest.approx(noise_m, rel=0.35)
 
 
+def test_the_noise_of_a_ray_is_that_whatever_is_averaged():
+    rng = np.random.default_rng(3)
+    noise = RayNoise()
+    assert noise.ray_m == 0.0
+    for _ in range(40):
+        noise.watch(wall_scan(rng, 0.02), 5)
+    assert noise.ray_m == pytest.approx(0.02, rel=0.35)
+
+
 def test_nothing_seen_leaves_the_noise_unknown_but_not_nothing():
     empty = Scan(0, np.full(BEAMS.count, np.nan, np.float32), BEAMS)
     assert 0.0 < RayNoise().watch(empty, 5) < 0.1

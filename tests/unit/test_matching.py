@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from processing.evolution import EvolutionConfig, maximise, random_state
-from processing.matching import Matcher, MatchingConfig
+from processing.matching import MOST_REACH_M, REACH_SIGMAS, Matcher, MatchingConfig
 from processing.matching_kernels import search
 from processing.ndt import Ndt, NdtConfig
 from processing.prediction import Prior, turned
@@ -244,6 +244,34 @@ def test_the_information_of_all_points_is_that_of_the_match_and_parts_add_up(fin
     parts = [matcher.information(part, reference, found.pose) for part in (ROOM[::3], ROOM[1::3], ROOM[2::3])]
     np.testing.assert_allclose(sum(parts), whole, rtol=1e-9, atol=1e-6)
     assert not matcher.information(ROOM[:0], reference, found.pose).any()
+
+
+def test_what_is_told_was_seen_when_the_points_were_that_tell_it():
+    matcher, reference = Matcher(MatchingConfig(), 1), built(ROOM)
+    found = matcher.match(ROOM, reference, Prior(np.zeros(3), LOOSE))
+    points = np.hstack((ROOM, np.zeros_like(ROOM)))
+    seen_s = np.linspace(-0.1, 0.1, len(points))
+    told_s = matcher.telling_s(points, seen_s, reference, found)
+    # Of how a twist has moved each point when it was seen, the match sees the mean by information.
+    each = [matcher.information(point[None], reference, found.pose) for point in points]
+    exact = np.linalg.solve(sum(each), np.einsum("i,ijk->jk", seen_s, each))
+    np.testing.assert_allclose(told_s, exact, atol=0.004)
+    assert np.abs(exact).max() > 0.02
+    still = matcher.telling_s(points, np.full(len(points), 0.07), reference, found)
+    np.testing.assert_allclose(still, 0.07 * np.eye(3), atol=1e-6)
+    assert not matcher.telling_s(points[:0], seen_s[:0], reference, found).any()
+
+
+def test_who_may_be_far_from_the_prior_is_searched_as_far_but_not_without_end():
+    matcher = Matcher(MatchingConfig(), 1)
+
+    def diagonal(x_m, y_m):
+        return Prior(np.zeros(3), np.diag((x_m**-2, y_m**-2, 1e4)))
+
+    usual = (matcher.config.window_m, matcher.config.window_m, matcher.config.window_rad)
+    np.testing.assert_allclose(matcher.reach(diagonal(0.05, 0.1)), usual)
+    np.testing.assert_allclose(matcher.reach(diagonal(0.2, 0.01)), (REACH_SIGMAS * 0.2, *usual[1:]))
+    np.testing.assert_allclose(matcher.reach(diagonal(0.01, 5.0)), (usual[0], MOST_REACH_M, usual[2]))
 
 
 def test_nothing_to_match_leaves_the_pose_where_the_prior_says():

@@ -110,6 +110,35 @@ def test_a_correction_is_that_of_a_kalman_filter():
     np.testing.assert_allclose(filter_.twist, expected, rtol=1e-9)
 
 
+def test_what_was_seen_at_the_end_of_a_sweep_is_a_correction_of_a_kalman_filter_of_pose_and_twist():
+    filter_ = moving_filter()
+    prior = filter_.advance(PERIOD_S)
+    pose, twist, before = filter_.pose.copy(), filter_.twist.copy(), filter_.covariance.copy()
+    information = np.array(((1e3, 2e2, 0.0), (2e2, 2e3, 1e2), (0.0, 1e2, 1e4)))
+    telling_s = np.array(((0.05, 0.01, 0.0), (0.0, -0.03, 0.002), (0.0, 0.01, 0.02)))
+    measured = np.array((0.02, -0.01, 0.005))
+    expected = np.linalg.inv(before[:3, :3])
+    found = np.linalg.solve(expected + information, information @ measured)
+    filter_.correct(compose(prior.pose, exponential(found)), information, telling_s)
+    look = np.hstack((np.eye(3), telling_s))
+    whole = np.linalg.inv(before) + look.T @ information @ look
+    np.testing.assert_allclose(filter_.covariance, np.linalg.inv(whole), rtol=1e-5, atol=1e-12)
+    change = np.linalg.solve(whole, look.T @ information @ measured)
+    np.testing.assert_allclose(filter_.twist - twist, change[3:], rtol=1e-6, atol=1e-10)
+    np.testing.assert_allclose(logarithm(between(pose, filter_.pose)), change[:3], rtol=1e-6, atol=1e-10)
+
+
+def test_what_was_seen_in_one_instant_tells_the_same_either_way():
+    one, other = moving_filter(), moving_filter()
+    found = compose(one.advance(PERIOD_S).pose, np.array((0.02, -0.01, 0.005)))
+    other.advance(PERIOD_S)
+    one.correct(found, np.diag((1e3, 2e3, 1e4)))
+    other.correct(found, np.diag((1e3, 2e3, 1e4)), np.zeros((3, 3)))
+    np.testing.assert_allclose(other.pose, one.pose, atol=1e-12)
+    np.testing.assert_allclose(other.twist, one.twist, atol=1e-12)
+    np.testing.assert_allclose(other.covariance, one.covariance, atol=1e-15)
+
+
 def test_a_turn_rate_that_was_seen_is_a_correction_of_a_kalman_filter():
     filter_ = moving_filter()
     filter_.advance(PERIOD_S)

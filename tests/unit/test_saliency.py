@@ -188,6 +188,19 @@ def test_a_mean_knows_the_wall_that_it_is_on(wanted):
     assert (np.einsum("ki,ki->k", oriented[:, :2], oriented[:, 2:]) <= 0.0).all()
 
 
+def test_through_a_noisy_laser_longer_walls_are_straight():
+    noise_m, resampler = 0.03, Resampler(ResamplingConfig(), BEAMS)
+    ranges = see(room(), (2.0, 2.0, 0.0), 1)
+    noisy = ranges + np.random.default_rng(2).normal(0.0, noise_m, len(ranges)).astype(np.float32)
+    resampler.points(Scan(0, noisy, BEAMS), STILL)
+
+    def share(**how):
+        return (resampler.oriented_means(**how)[:, 2:] != 0.0).any(axis=1).mean()
+
+    assert share() < 0.2
+    assert share(noise_m=noise_m) > 0.4
+
+
 def test_without_resampling_no_surface_has_an_end():
     resampler = Resampler(ResamplingConfig(points=0), BEAMS)
     resampler.points(Scan(0, see(room(), (2.0, 2.0, 0.0), 1), BEAMS), STILL)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers.world import Spinning, demo_building, simulate_scans, square_of_corridors
+from drivers.world import Spinning, demo_building, pillar_hall, simulate_scans, square_of_corridors
 from processing import se2, straightening
 from processing.evaluation import absolute_errors
 from processing.matching import MatchingConfig
@@ -90,6 +90,19 @@ def test_a_quick_sweep_is_straight_enough(at_rest):
     assert not Straightener(MatchingConfig(), walls=True).straighten(
         scan, resampler, filter_, 0.01, reference, 0.0
     )
+
+
+@pytest.mark.parametrize("building", [demo_building, pillar_hall])
+def test_the_velocity_of_slow_sweeps_does_not_swing(building):
+    how = {"speed_mps": 0.6, "rest_s": 0.0, "seed": 1, "max_scans": 250}
+    drive = list(simulate_scans(building(), laser=LASER, **how))
+    odometry = LaserOdometry(OdometryConfig(), 1)
+    matches = [odometry.step(scan_of(ranges_m, stamp_ns)) for stamp_ns, ranges_m, _ in drive]
+    found = np.array([match.motion.twist[0] for match in matches[1:]])
+    places = np.array([pose[:2] for *_, pose in drive])
+    true = np.linalg.norm(np.diff(places, axis=0), axis=1) / LASER.period_s
+    # Between the middles of two sweeps it may have changed by a tenth of a metre a second.
+    assert np.abs(found - true).max() < 0.15
 
 
 @pytest.mark.parametrize("straightened", [True, False])
