@@ -27,11 +27,8 @@ MOUNTED_NS = 1_000_000_000
 """How often it is said where the laser sits: not every client asks for what was said before it came."""
 CHECKPOINT_NS = 500_000_000
 """So much at most is forgotten when the process is killed; the next one has its local map and its frame."""
-_LEVELS: dict[Tracking, Level] = {
-    Tracking.TRACKING: "ok",
-    Tracking.DEGENERATE: "warn",
-    Tracking.LOST: "error",
-}
+BLIND_NS = 500_000_000
+"""Who has not seen one direction for so long is told what to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +53,7 @@ def run(port: Port, config: Config) -> int:
         port.count("resumptions")
         port.log.warning("goes on where the process before it was killed")
     odometry, missed = kept or (LaserOdometry(config.odometry, port.seed), Missed())
-    scans = Scans(port)
+    scans, teller = Scans(port), Teller(port, config.laser_in_base)
     with Rows(port.results_dir, MATCH_FILE, MATCH_COLUMNS) as rows:
         port.ready()
         mounted_ns: int | None = None
@@ -73,7 +70,7 @@ def run(port: Port, config: Config) -> int:
                 port.count("refused_scans")
                 port.report("error", f"scan refused: {error}")
                 continue
-            publish(port, match, config.laser_in_base)
+            teller.tell(match)
             if config.laser_in_base is not None and (
                 mounted_ns is None or not 0 <= scan.stamp_ns - mounted_ns < MOUNTED_NS
             ):
@@ -117,30 +114,47 @@ class Scans:
         return received
 
 
-def publish(port: Port, match: Match, laser_in_base: mounting.LaserInBase | None = None) -> None:
-    """Send the motion, the points that it rests on, and how far it is to be believed."""
-    motion = match.motion
-    port.publish("odom", motion_to_message(motion))
-    port.publish("match_points", cloud(motion.stamp_ns, match.points_laser))
-    port.publish("tf", mounting.tf(motion.stamp_ns, motion.odom_t_laser, laser_in_base))
-    state = match.state.name
-    if match.blind_rad is not None:
-        state += f" ({round(float(np.degrees(match.blind_rad)))} deg)"
-    port.report(
-        _LEVELS[match.state],
-        _words(match),
-        state=state,
-        score=round(match.score, 3),
-        points=len(match.points_laser),
-    )
+class Teller:
+    """Sends motions, the points that they rest on, and in words how far they are to be believed.
 
+    That one direction is not seen for a moment, as between two doors of a corridor, asks nothing of anybody:
+    the state says so at once, and the warning waits.
+    """
 
-def _words(match: Match) -> str:
-    if match.state is Tracking.LOST:
-        return "lost: the scan fits nowhere near; hold the laser still, or bring it back to where it was"
-    if match.state is Tracking.DEGENERATE:
-        return "one direction is not seen, the motion is taken to go on along it; keep your speed to a corner"
-    return "tracking"
+    def __init__(self, port: Port, laser_in_base: mounting.LaserInBase | None = None) -> None:
+        self._port, self._laser_in_base = port, laser_in_base
+        self._blind_since_ns: int | None = None
+
+    def tell(self, match: Match) -> None:
+        """Publish one match."""
+        port, motion = self._port, match.motion
+        port.publish("odom", motion_to_message(motion))
+        port.publish("match_points", cloud(motion.stamp_ns, match.points_laser))
+        port.publish("tf", mounting.tf(motion.stamp_ns, motion.odom_t_laser, self._laser_in_base))
+        state = match.state.name
+        if match.blind_rad is not None:
+            state += f" ({round(float(np.degrees(match.blind_rad)))} deg)"
+        level, text = self._words(match)
+        port.report(level, text, state=state, score=round(match.score, 3), points=len(match.points_laser))
+
+    def _words(self, match: Match) -> tuple[Level, str]:
+        stamp_ns = match.motion.stamp_ns
+        if match.state is not Tracking.DEGENERATE:
+            self._blind_since_ns = None
+        if match.state is Tracking.LOST:
+            return (
+                "error",
+                "lost: the scan fits nowhere near; hold the laser still, or bring it back to where it was",
+            )
+        if match.state is Tracking.TRACKING:
+            return "ok", "tracking"
+        if self._blind_since_ns is None or stamp_ns < self._blind_since_ns:
+            self._blind_since_ns = stamp_ns
+        if stamp_ns - self._blind_since_ns < BLIND_NS:
+            return "ok", "tracking; one direction is not seen for a moment"
+        return "warn", (
+            "one direction is not seen, the motion is taken to go on along it; keep your speed to a corner"
+        )
 
 
 def cloud(stamp_ns: int, points_laser: NDArray[np.float64]) -> messages.PointCloud2:
