@@ -85,9 +85,10 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|")
     for name, found in rows.items():
         column = {key: np.array([row[key] for row in found]) for key in found[0] if key != "course"}
-        mean_m, share = column["mean_m"], 1e3 * column["slips"].sum() / column["stretches"].sum()
+        mean_m, max_m = column["mean_m"], column["max_m"].max()
+        share = 1e3 * column["slips"].sum() / column["stretches"].sum()
         print(
-            f"| {name} | {mean_m.mean():.3f}, {mean_m.max():.3f} | {column['max_m'].max():.2f} | {share:.1f} | "
+            f"| {name} | {mean_m.mean():.3f}, {mean_m.max():.3f} | {max_m:.2f} | {share:.1f} | "
             f"{column['greatest_slip_m'].max():.2f} | {column['degenerate'].mean():.2f} | "
             f"{column['lost'].sum()} |"
         )
