@@ -20,7 +20,8 @@ USB_BAUD = 115_200
 """Set for form's sake: on USB the rate means nothing."""
 # The sensor answers one command in a revolution of 100 ms, sometimes late: less patience sees silences.
 SILENCE_S = 0.14
-DRAIN_S = 0.4
+DRAIN_S = 0.2
+"""Two sweeps of a sensor that still streams to a process that died: it will not be silent."""
 PROBE_S = 0.4
 ANSWER_S = 0.6
 _RATE_PAUSE_S = 0.15
