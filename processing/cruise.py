@@ -17,6 +17,8 @@ TURNING_RAD_S = 0.1
 """Who turns faster drives at another speed than straight on,"""
 TURNING_S = 0.5
 """in the mean over so long."""
+TURNED_RAD = 0.15
+"""Who has turned by more over a stretch that was not seen did not drive straight."""
 SHARP_RAD_S = (0.3, 0.6)
 """Who turns faster than this, and than that, drives at a speed that belongs to it: robots slow down there."""
 SHARP_SCANS = 10
@@ -73,6 +75,33 @@ class Cruise:
             weights = np.array(list(islice(reversed(self._weights), self._long)))
             if _is_even(newest[:, :2], weights):
                 self._usual = _mean(newest[:, :2], weights)
+
+    def bridge(self, motion: Pose, duration_s: float, deviation_m: float) -> bool:
+        """Take in the way over a stretch that was not seen, between the two scans at its ends that saw.
+
+        Both ends may be known badly, and yet their distance over seconds tells the velocity well.
+
+        Args:
+            motion: (3,) over the stretch.
+            duration_s: Of it.
+            deviation_m: How far each end may be off, one sigma.
+
+        Returns:
+            Whether it was straight, and at about the velocity that was held: else it may have stopped in
+            between, or set out.
+        """
+        twist, held = logarithm(motion) / duration_s, self._held
+        if held is None or abs(motion[2]) > TURNED_RAD or np.hypot(*(twist[:2] - held)) > STEADY_M_S:
+            return False
+        if self.steady_s == 0.0 and np.hypot(*held) < STANDING_M_S:
+            # It may have set out long ago, and be where it looks the same.
+            return False
+        count = max(1, round(duration_s / self._period_s))
+        weight = min(count / deviation_m**2, 1.0 / SURE_M**2)
+        self._seen.extend([twist] * count)
+        self._weights.extend([weight] * count)
+        self._held = None
+        return True
 
     def velocity(self, twist: Twist, doubt_m_s: float, turn_rate_rad_s: float = 0.0) -> NDArray[np.float64]:
         """Return the velocity (2,), laser frame, to go on with until everything is seen again.

@@ -127,6 +127,10 @@ class LaserOdometry:
         self._is_straightened = many and config.deskew
         self._certainty = Certainty(config.matching.score_weight, fine_share)
         self._blindness = Blindness()
+        self._last_seen: tuple[Pose, float] | None = None
+        """Where the last scan was that saw every direction by what stands, and how far it may be off, m."""
+        self._unseen_s = 0.0
+        """How long ago that was."""
 
     def step(self, scan: Scan, missed: int = 0) -> Match:
         """Match the next scan.
@@ -140,7 +144,6 @@ class LaserOdometry:
         """
         resampler, middle_s, watch = self._prepare(scan)
         duration_s = (1 + missed) * scan.beams.period_s
-        old_pose = self._filter.pose
         prior = watch.expect(self._filter, duration_s) if self._local.keys else None
         twist = self._filter.twist if self.config.deskew else np.zeros(3)
         ends = resampler.points(scan, twist, middle_s)
@@ -167,7 +170,7 @@ class LaserOdometry:
         if prior is not None and matching is not None and (watch.trying or not watch.lost):
             # One that does not fit may still tell a little, as long as it is not known to be wrong.
             before = self._filter.twist
-            unseen = self._correct(points, matching, prior, old_pose if fits else None, duration_s)
+            unseen = self._correct(points, matching, prior, fits, duration_s)
             covariance = self._certainty.judge(
                 scan,
                 len(ends),
@@ -183,6 +186,7 @@ class LaserOdometry:
             self._local.clear()
             self._filter.forget_velocity()
             self._cruise.forget()
+            self._last_seen, self._unseen_s = (self._filter.pose.copy(), 0.0), 0.0
             self._footing.forget()
         if anew or fits:
             watch.remember(transform(self._filter.pose, ends))
@@ -203,7 +207,7 @@ class LaserOdometry:
         )
 
     def _correct(
-        self, points: Oriented, matching: Matching, prior: Prior, old_pose: Pose | None, duration_s: float
+        self, points: Oriented, matching: Matching, prior: Prior, fits: bool, duration_s: float
     ) -> Points:
         """Take the match into the filter, where it sees; elsewhere the laser goes on as it did.
 
@@ -211,32 +215,44 @@ class LaserOdometry:
             points: (N, 4) that were matched.
             matching: Of them, which need not fit.
             prior: Where the scan was expected.
-            old_pose: (3,) at the scan before; None if the scan does not fit.
-            duration_s: Since then.
+            fits: Whether the scan fits there.
+            duration_s: Since the scan before.
 
         Returns:
             (K, 2) unit vectors of the directions that are not seen, laser frame.
         """
-        was_firm = self._footing.firm
         limit_m = blind_m(self._filter.drift_m(duration_s))
         seen = self._footing.learn(points, matching, self._local.reference, prior.pose, limit_m)
         pose = seen.hold(matching.pose, prior.pose)
         information = turned(seen.information, -pose[2])
         if self._watch.doubtful:
             information = weakened(information, prior, pose)
-        fits = old_pose is not None
         self._filter.correct(pose, information, self._telling_s(points, matching) if fits else None)
         unseen = _in_laser(seen.unseen, pose[2])
         if len(unseen):
             velocity = self._steady()
             self._filter.bound(unseen, self._cruise.steady_s > 0.0)
             self._filter.steer(unseen, velocity)
-        # The first motion that is seen again takes back what was wrong before: it is no velocity.
-        firm = was_firm and self._footing.firm
-        if firm and old_pose is not None and not self._watch.doubtful:
-            self._cruise.see(between(old_pose, pose), duration_s, deviation_m(matching.information))
-            self._footing.believe(self._filter.twist)
+        self._unseen_s += duration_s
+        if fits and self._footing.firm and not self._watch.doubtful:
+            self._learn_velocity(deviation_m(matching.information), duration_s)
         return unseen
+
+    def _learn_velocity(self, deviation_m: float, duration_s: float) -> None:
+        """Take in the way from the last scan that saw every direction by what stands to this one, which does.
+
+        The first motion that is seen again takes back what was wrong before and is no velocity; the whole way
+        over what was not seen may be one.
+        """
+        pose = self._filter.pose.copy()
+        if self._last_seen is not None:
+            way, ends_m = between(self._last_seen[0], pose), max(deviation_m, self._last_seen[1])
+            if self._unseen_s <= duration_s:
+                self._cruise.see(way, duration_s, ends_m)
+                self._footing.believe(self._filter.twist)
+            else:
+                self._cruise.bridge(way, self._unseen_s, ends_m)
+        self._last_seen, self._unseen_s = (pose, deviation_m), 0.0
 
     def _telling_s(self, points: Oriented, matching: Matching) -> Matrix | None:
         """Return when the points (N, 4) of a slow sweep that tell were seen, on the laser's axes."""

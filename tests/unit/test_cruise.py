@@ -142,3 +142,43 @@ def test_who_was_never_seen_to_turn_is_taken_to_drive_on():
     turning(cruise, 0.4, 0.0, 80)
     assert cruise.velocity(np.array((0.4, 0.0, 0.0)), 0.1, 1.0)[0] == pytest.approx(0.4, abs=0.01)
     assert cruise.steady_s == 0.0
+
+
+def held_at(cruise, speed, deviation_m=0.005):
+    """Make a velocity the one that goes on."""
+    for _ in range(10):
+        cruise.see(exponential(0.2 * np.array((speed, 0.0, 0.0))), 0.2, deviation_m)
+    return cruise.velocity(np.array((speed, 0.0, 0.0)), 0.01)
+
+
+def test_the_way_over_what_was_not_seen_tells_how_fast_it_went():
+    cruise = Cruise(0.2)
+    # Five vague scans say 0.9; between two places 4 s apart, known to 0.07 m, it went 3.2 m.
+    assert held_at(cruise, 0.9, 0.07)[0] == pytest.approx(0.9)
+    assert cruise.bridge(np.array((3.2, 0.0, 0.02)), 4.0, 0.07)
+    assert cruise.velocity(np.array((0.9, 0.0, 0.0)), 0.01)[0] == pytest.approx(0.8, abs=0.02)
+    assert cruise.steady_s > 2.0
+
+
+@pytest.mark.parametrize(
+    "way",
+    [
+        (1.6, 0.0, 0.0),  # half as fast: it may have stopped
+        (3.2, 0.0, 0.2),  # turned
+        (-3.2, 0.0, 0.0),  # came back
+    ],
+)
+def test_a_way_that_was_not_driven_evenly_tells_no_velocity(way):
+    cruise = Cruise(0.2)
+    held = held_at(cruise, 0.8).copy()
+    assert not cruise.bridge(np.array(way), 4.0, 0.01)
+    np.testing.assert_array_equal(cruise.velocity(np.array((0.8, 0.0, 0.0)), 0.01), held)
+
+
+def test_who_may_have_set_out_unseen_did_not_stand_because_it_looks_the_same():
+    cruise = Cruise(0.2)
+    cruise.see(np.zeros(3), 0.2)
+    cruise.velocity(np.zeros(3), 0.01)
+    assert cruise.steady_s == 0.0
+    assert not cruise.bridge(np.array((-0.2, 0.0, 0.0)), 4.0, 0.07)
+    assert not Cruise(0.2).bridge(np.array((0.8, 0.0, 0.0)), 1.0, 0.01)
