@@ -97,7 +97,7 @@ class Cruise:
             # It may have set out long ago, and be where it looks the same.
             return False
         count = max(1, round(duration_s / self._period_s))
-        weight = min(count / deviation_m**2, 1.0 / SURE_M**2)
+        weight = 1.0 / max(deviation_m / np.sqrt(count), SURE_M) ** 2
         self._seen.extend([twist] * count)
         self._weights.extend([weight] * count)
         self._held = None

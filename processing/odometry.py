@@ -238,21 +238,25 @@ class LaserOdometry:
             self._learn_velocity(deviation_m(matching.information), duration_s)
         return unseen
 
-    def _learn_velocity(self, deviation_m: float, duration_s: float) -> None:
+    def _learn_velocity(self, off_m: float, duration_s: float) -> None:
         """Take in the way from the last scan that saw every direction by what stands to this one, which does.
 
         The first motion that is seen again takes back what was wrong before and is no velocity; the whole way
         over what was not seen may be one.
+
+        Args:
+            off_m: How far this scan may be off in the direction that it sees worst.
+            duration_s: Since the scan before.
         """
         pose = self._filter.pose.copy()
         if self._last_seen is not None:
-            way, ends_m = between(self._last_seen[0], pose), max(deviation_m, self._last_seen[1])
+            way, ends_m = between(self._last_seen[0], pose), max(off_m, self._last_seen[1])
             if self._unseen_s <= duration_s:
                 self._cruise.see(way, duration_s, ends_m)
                 self._footing.believe(self._filter.twist)
             else:
                 self._cruise.bridge(way, self._unseen_s, ends_m)
-        self._last_seen, self._unseen_s = (pose, deviation_m), 0.0
+        self._last_seen, self._unseen_s = (pose, off_m), 0.0
 
     def _telling_s(self, points: Oriented, matching: Matching) -> Matrix | None:
         """Return when the points (N, 4) of a slow sweep that tell were seen, on the laser's axes."""
