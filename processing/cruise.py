@@ -79,7 +79,9 @@ class Cruise:
     def bridge(self, motion: Pose, duration_s: float, deviation_m: float) -> bool:
         """Take in the way over a stretch that was not seen, between the two scans at its ends that saw.
 
-        Both ends may be known badly, and yet their distance over seconds tells the velocity well.
+        Glimpses of a slow laser are known badly and seldom come in pairs, and yet their distance over seconds
+        tells the velocity well. Who sees clearly needs none of that: the next scans tell by themselves, and
+        nobody who walked along over the stretch has a say.
 
         Args:
             motion: (3,) over the stretch.
@@ -87,11 +89,13 @@ class Cruise:
             deviation_m: How far each end may be off, one sigma.
 
         Returns:
-            Whether it was straight, and at about the velocity that was held: else it may have stopped in
-            between, or set out.
+            Whether it tells: whether an end is known badly, and the way was straight and at about the
+            velocity that was held; else it may have stopped in between, or set out.
         """
         twist, held = logarithm(motion) / duration_s, self._held
         if held is None or abs(motion[2]) > TURNED_RAD or np.hypot(*(twist[:2] - held)) > STEADY_M_S:
+            return False
+        if deviation_m <= SURE_M:
             return False
         if self.steady_s == 0.0 and np.hypot(*held) < STANDING_M_S:
             # It may have set out long ago, and be where it looks the same.

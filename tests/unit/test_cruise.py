@@ -171,7 +171,7 @@ def test_the_way_over_what_was_not_seen_tells_how_fast_it_went():
 def test_a_way_that_was_not_driven_evenly_tells_no_velocity(way):
     cruise = Cruise(0.2)
     held = held_at(cruise, 0.8).copy()
-    assert not cruise.bridge(np.array(way), 4.0, 0.01)
+    assert not cruise.bridge(np.array(way), 4.0, 0.07)
     np.testing.assert_array_equal(cruise.velocity(np.array((0.8, 0.0, 0.0)), 0.01), held)
 
 
@@ -181,4 +181,10 @@ def test_who_may_have_set_out_unseen_did_not_stand_because_it_looks_the_same():
     cruise.velocity(np.zeros(3), 0.01)
     assert cruise.steady_s == 0.0
     assert not cruise.bridge(np.array((-0.2, 0.0, 0.0)), 4.0, 0.07)
-    assert not Cruise(0.2).bridge(np.array((0.8, 0.0, 0.0)), 1.0, 0.01)
+    assert not Cruise(0.2).bridge(np.array((0.8, 0.0, 0.0)), 1.0, 0.07)
+
+
+def test_between_clear_views_the_way_is_no_velocity():
+    cruise = Cruise(0.2)
+    held_at(cruise, 0.9, 0.07)
+    assert not cruise.bridge(np.array((3.2, 0.0, 0.0)), 4.0, 0.9 * SURE_M)
