@@ -32,6 +32,8 @@ USUAL_S = 2.0
 """A velocity that was steady for so long is the one that the laser takes up again when it speeds up."""
 SURE_M = 0.03
 """Motions whose ends are known better than this all weigh the same."""
+LEAST_SCANS = 3
+"""Of fewer that see no velocity was steady."""
 STANDING_M_S = 0.05
 """Who is slower stands, as far as matches tell. One that has not stood for USUAL_S yet, as after a turn on
 the spot, may set out at any moment: that it stands is no velocity to go on with."""
@@ -89,21 +91,20 @@ class Cruise:
             deviation_m: How far each end may be off, one sigma.
 
         Returns:
-            Whether it tells: whether an end is known badly, and the way was straight and at about the
-            velocity that was held; else it may have stopped in between, or set out.
+            Whether it tells: whether an end is known badly but the way is long enough for that, and was
+            straight and at about the velocity that was held; else it may have stopped in between, or set out.
         """
         twist, held = logarithm(motion) / duration_s, self._held
         if held is None or abs(motion[2]) > TURNED_RAD or np.hypot(*(twist[:2] - held)) > STEADY_M_S:
             return False
-        if deviation_m <= SURE_M:
+        count = max(1, round(duration_s / self._period_s))
+        if not deviation_m / np.sqrt(count) <= SURE_M < deviation_m:
             return False
         if self.steady_s == 0.0 and np.hypot(*held) < STANDING_M_S:
             # It may have set out long ago, and be where it looks the same.
             return False
-        count = max(1, round(duration_s / self._period_s))
-        weight = 1.0 / max(deviation_m / np.sqrt(count), SURE_M) ** 2
         self._seen.extend([twist] * count)
-        self._weights.extend([weight] * count)
+        self._weights.extend([1.0 / SURE_M**2] * count)
         self._held = None
         return True
 
@@ -126,11 +127,13 @@ class Cruise:
             first = self._first_straight(twists)
             straight, weights = twists[first:, :2], weights[first:]
             windows = ((straight[-count:], weights[-count:]) for count in self._counts)
-            means = ((_mean(*window), len(window[0])) for window in windows if _is_even(*window))
+            # A scan that hardly sees is as good as a part of one that does.
+            means = ((_mean(*window), SURE_M**2 * window[1].sum()) for window in windows if _is_even(*window))
             steady = ((mean, count) for mean, count in means if np.hypot(*(mean - twist[:2])) < off_m_s)
-            self._held, count = next(steady, (self._aim(twist), 0))
+            self._held, count = next(steady, (self._aim(twist), 0.0))
             sets_out = np.hypot(*self._held) < STANDING_M_S and count < self._long
-            self.steady_s = 0.0 if sets_out else count * self._period_s
+            too_few = count < min(LEAST_SCANS, self._counts[-1])
+            self.steady_s = 0.0 if sets_out or too_few else float(count * self._period_s)
         if abs(turn_rate_rad_s) <= SHARP_RAD_S[0]:
             return self._held
         self.steady_s = 0.0

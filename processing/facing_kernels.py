@@ -17,6 +17,9 @@ GRAZING = 6.0
 """A hit whose neighbours are so many times as far away as on a wall square to its ray is of one along it,"""
 LONE_M = 0.1
 """where neighbouring rays are farther apart than this; nearer, it may be a thin thing: a leg of a chair."""
+SHORT = 0.5
+"""Length of its normal, which belongs on no wall: far away a wall is a few hits in the map, and stands aslant
+by their noise; matched on it the hit would tell the way along."""
 
 
 @njit("f8(f8[::1], f8[::1])", cache=True, nogil=True)
@@ -93,7 +96,9 @@ def face(points, count, which, near_m, thin, normals):
 
 @njit("void(f8[:,::1], i8[::1], i8, i8[::1], f8, f8[:,::1])", cache=True, nogil=True)
 def lean(points, rays, count, which, increment_rad, normals):
-    """Give lone far hits that have no wall one that runs along their ray.
+    """Give lone far hits that have no wall a short normal across their ray.
+
+    With it they tell across their ray only, and nothing where the map has a wall (`ndt_kernels.across_wall`).
 
     Of a laser of a degree between its rays, the last one along a corridor meets its side tens of metres
     beyond the one before, and always equally far ahead: taken for a thing that stands there, it holds the
@@ -122,7 +127,7 @@ def lean(points, rays, count, which, increment_rad, normals):
                 # Both sides of a corridor are hit equally far ahead, and nothing between them: no wall.
                 is_lone = is_lone and not (is_near and abs(rays[j] - rays[i]) == 1)
         if is_lone:
-            normals[k, 0], normals[k, 1] = -y / range_m, x / range_m
+            normals[k, 0], normals[k, 1] = -SHORT * y / range_m, SHORT * x / range_m
 
 
 @njit("i8(f8[:,::1], f8[:,::1], f8, f8, f8, f8, b1[::1])", cache=True, nogil=True)

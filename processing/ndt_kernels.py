@@ -273,7 +273,8 @@ def across_wall(nx, ny, a, b, d):
 
     Along its wall such a point may lie anywhere: wherever the laser is, some ray meets the wall there (as in
     point-to-line matching: Censi, ICRA 2008). So a cell that is no wall counts across the point's own wall
-    only; in one of a wall that runs otherwise the point does not belong.
+    only; in one of a wall that runs otherwise the point does not belong. With a normal of half the length it
+    belongs on no wall at all.
 
     Returns:
         Whether it tells anything; and xx, xy, yy of the inverse covariance, given as a, b, d.

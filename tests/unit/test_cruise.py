@@ -188,3 +188,18 @@ def test_between_clear_views_the_way_is_no_velocity():
     cruise = Cruise(0.2)
     held_at(cruise, 0.9, 0.07)
     assert not cruise.bridge(np.array((3.2, 0.0, 0.0)), 4.0, 0.9 * SURE_M)
+
+
+def test_what_was_hardly_seen_was_not_steady():
+    cruise = Cruise(0.2)
+    held_at(cruise, 0.4, 0.1)
+    assert cruise.steady_s == 0.0
+    held_at(cruise, 0.4, 0.005)
+    assert cruise.steady_s >= 2.0
+
+
+def test_a_short_way_between_glimpses_is_no_velocity():
+    cruise = Cruise(0.2)
+    held_at(cruise, 0.9, 0.07)
+    assert not cruise.bridge(np.array((0.48, 0.0, 0.0)), 0.6, 0.07)
+    assert cruise.bridge(np.array((1.6, 0.0, 0.0)), 2.0, 0.07)

@@ -120,7 +120,7 @@ def test_lone_far_hits_are_those_of_the_plain_twin(seed):
         beside = [j for j in (i - 1, i + 1) if 0 <= j < len(rays) and abs(rays[j] - rays[i]) == 1]
         near = any(np.hypot(*(points[j] - point)) < facing.GRAZING * square_m for j in beside)
         if not normals[i].any() and square_m > facing.LONE_M and not near:
-            expected[i] = np.array((-point[1], point[0])) / np.hypot(*point)
+            expected[i] = facing.SHORT * np.array((-point[1], point[0])) / np.hypot(*point)
     np.testing.assert_allclose(leaned(points, rays, increment_rad, normals), expected, atol=1e-12)
 
 

@@ -43,8 +43,9 @@ def test_out_of_a_room_and_along_a_corridor_of_few_doors_it_never_stands_still(s
     assert np.abs(np.cumsum(off_m)).max() < 3.0
 
 
-@pytest.mark.parametrize("seed", [2, 3])
-def test_who_sets_out_where_little_is_in_sight_is_found_when_it_cannot_be_where_it_was(seed):
-    doors = [door(3.0 + 4.1 * k, 1.0) for k in range(4)] + [door(5.0 + 3.7 * k, -1.0) for k in range(4)]
-    off_m, _ = follow([(0.0, -HALF_M, 160.0, HALF_M), *doors], ((1.0, 0.0), (85.0, 0.0)), 520, seed)
-    assert np.abs(np.cumsum(off_m)).max() < 1.0
+@pytest.mark.parametrize("count", [4, 8])
+def test_who_sets_out_where_little_is_in_sight_is_found_when_it_cannot_be_where_it_was(count):
+    doors = [door(3.0 + 4.1 * k, 1.0) for k in range(count)]
+    doors += [door(5.0 + 3.7 * k, -1.0) for k in range(count)]
+    off_m, _ = follow([(0.0, -HALF_M, 160.0, HALF_M), *doors], ((1.0, 0.0), (85.0, 0.0)), 520, 3)
+    assert np.abs(np.cumsum(off_m)).max() < 1.5
