@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from processing.certainty_kernels import spreads
 from processing.matching import Matching
 from processing.ndt import Ndt, Oriented, Points, oriented
-from processing.prediction import Twist, turned
+from processing.prediction import LEAST_INFORMATION, Twist, turned
 from processing.scan import Scan
 
 Matrix = NDArray[np.float64]
@@ -24,8 +24,6 @@ constant-velocity filter whose poses are exact beside its motion."""
 UNKNOWN_NOISE_M2 = 1e-4
 """Variance of a point until a scan told: of a ray of a cheap laser."""
 LEAST_NOISE_M2 = 1e-8
-LEAST_INFORMATION = 1e-6
-"""Keeps what is not seen at all finite, 1/m^2 and 1/rad^2."""
 _FADE = 0.1
 """Weight of the newest scan in the running noise."""
 

@@ -17,8 +17,6 @@ TURNING_RAD_S = 0.1
 """Who turns faster drives at another speed than straight on,"""
 TURNING_S = 0.5
 """in the mean over so long."""
-TURNED_RAD = 0.15
-"""Who has turned by more over a stretch that was not seen did not drive straight."""
 SHARP_RAD_S = (0.3, 0.6)
 """Who turns faster than this, and than that, drives at a speed that belongs to it: robots slow down there."""
 SHARP_SCANS = 10
@@ -77,36 +75,6 @@ class Cruise:
             weights = np.array(list(islice(reversed(self._weights), self._long)))
             if _is_even(newest[:, :2], weights):
                 self._usual = _mean(newest[:, :2], weights)
-
-    def bridge(self, motion: Pose, duration_s: float, deviation_m: float) -> bool:
-        """Take in the way over a stretch that was not seen, between the two scans at its ends that saw.
-
-        Glimpses of a slow laser are known badly and seldom come in pairs, and yet their distance over seconds
-        tells the velocity well. Who sees clearly needs none of that: the next scans tell by themselves, and
-        nobody who walked along over the stretch has a say.
-
-        Args:
-            motion: (3,) over the stretch.
-            duration_s: Of it.
-            deviation_m: How far each end may be off, one sigma.
-
-        Returns:
-            Whether it tells: whether an end is known badly but the way is long enough for that, and was
-            straight and at about the velocity that was held; else it may have stopped in between, or set out.
-        """
-        twist, held = logarithm(motion) / duration_s, self._held
-        if held is None or abs(motion[2]) > TURNED_RAD or np.hypot(*(twist[:2] - held)) > STEADY_M_S:
-            return False
-        count = max(1, round(duration_s / self._period_s))
-        if not deviation_m / np.sqrt(count) <= SURE_M < deviation_m:
-            return False
-        if self.steady_s == 0.0 and np.hypot(*held) < STANDING_M_S:
-            # It may have set out long ago, and be where it looks the same.
-            return False
-        self._seen.extend([twist] * count)
-        self._weights.extend([1.0 / SURE_M**2] * count)
-        self._held = None
-        return True
 
     def velocity(self, twist: Twist, doubt_m_s: float, turn_rate_rad_s: float = 0.0) -> NDArray[np.float64]:
         """Return the velocity (2,), laser frame, to go on with until everything is seen again.

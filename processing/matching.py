@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from processing.evolution import EvolutionConfig, random_state
 from processing.matching_kernels import polish, search
 from processing.ndt import Ndt, Oriented, Points, oriented
-from processing.prediction import Prior
+from processing.prediction import LEAST_INFORMATION, Prior
 from processing.se2 import Pose, wrap
 
 Matrix = NDArray[np.float64]
@@ -20,8 +20,6 @@ Matrix = NDArray[np.float64]
 
 PARTS = 6
 """A sweep is cut in so many to ask when it saw what it tells."""
-LEAST_INFORMATION = 1e-6
-"""Keeps what is not seen at all finite, 1/m^2 and 1/rad^2."""
 REACH_SIGMAS = 2.5
 """Where the prior allows more than the configured window, it is searched up to so many of its sigmas,"""
 MOST_REACH_M = 1.2
@@ -199,11 +197,14 @@ class Matcher:
         return self._log_likelihood(points, reference, one) - self._log_likelihood(points, reference, other)
 
     def _log_likelihood(self, points: Oriented, reference: Ndt, pose: Pose) -> float:
-        value = reference.score(points, pose).value
-        if self.config.polish and reference.fine is not None:
-            share = self.config.fine_share
-            value = (1.0 - share) * value + share * reference.fine.score(points, pose).value
-        return self.config.score_weight * value
+        return sum(share * cells.score(points, pose).value for share, cells in self._mixture(reference))
+
+    def _mixture(self, reference: Ndt) -> list[tuple[float, Ndt]]:
+        """Return the cells that the polish ends in, and what a point that fits them is worth."""
+        weight, share = self.config.score_weight, self.config.fine_share
+        if not self.config.polish or reference.fine is None:
+            return [(weight, reference)]
+        return [(weight * (1.0 - share), reference), (weight * share, reference.fine)]
 
     def has_turned_on(self, pose: Pose, prior: Prior) -> bool:
         """Whether a pose (3,) is turned by more than the search around a prior reaches: the polish did."""
@@ -211,9 +212,7 @@ class Matcher:
 
     def information(self, points: Points | Oriented, reference: Ndt, pose: Pose) -> Matrix:
         """Return the information (3, 3) that points alone give at a pose, as in `Matching`."""
-        points = np.ascontiguousarray(points)
-        information = reference.score(points, pose).information
-        if self.config.polish and reference.fine is not None:
-            share, fine = self.config.fine_share, reference.fine.score(points, pose).information
-            information = (1.0 - share) * information + share * fine
-        return self.config.score_weight * information
+        points, total = np.ascontiguousarray(points), np.zeros((3, 3))
+        for share, cells in self._mixture(reference):
+            total += share * cells.score(points, pose).information
+        return total

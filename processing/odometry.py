@@ -128,9 +128,7 @@ class LaserOdometry:
         self._certainty = Certainty(config.matching.score_weight, fine_share)
         self._blindness = Blindness()
         self._last_seen: tuple[Pose, float] | None = None
-        """Where the last scan was that saw every direction by what stands, and how far it may be off, m."""
-        self._unseen_s = 0.0
-        """How long ago that was."""
+        """Where the last scan was, and how far it may be off, m, if it saw every direction by what stands."""
 
     def step(self, scan: Scan, missed: int = 0) -> Match:
         """Match the next scan.
@@ -147,7 +145,8 @@ class LaserOdometry:
         prior = watch.expect(self._filter, duration_s) if self._local.keys else None
         twist = self._filter.twist if self.config.deskew else np.zeros(3)
         ends = resampler.points(scan, twist, middle_s)
-        points = resampler.oriented_means(self._walls, self._certainty.noise.ray_m)
+        resampler.noise_m = self._certainty.noise.ray_m
+        points = resampler.oriented_means(self._walls)
         if prior is not None:
             taken = self._filter.twist if self._footing.firm else self._steady()
             spans_m = resampler.spans_m(len(points))
@@ -161,8 +160,7 @@ class LaserOdometry:
             if self._is_bent(scan, matching, resampler, middle_s):
                 prior = self._filter.prior()
                 ends = resampler.points(scan, self._filter.twist, middle_s)
-                noise_m = self._certainty.noise.ray_m
-                points = self._footing.trust(resampler.oriented_means(self._walls, noise_m))
+                points = self._footing.trust(resampler.oriented_means(self._walls))
                 matching = self._match(points, prior)
             matching, fits = self._locate(points, matching, prior, watch)
         if prior is not None and not fits:
@@ -180,18 +178,21 @@ class LaserOdometry:
                 (before, self._filter.twist),
                 middle_s,
             )
+        else:
+            self._last_seen = None
         anew = sees and (prior is None or watch.hopeless)
         if anew:
             watch.begin()
             self._local.clear()
             self._filter.forget_velocity()
             self._cruise.forget()
-            self._last_seen, self._unseen_s = (self._filter.pose.copy(), 0.0), 0.0
+            self._last_seen = (self._filter.pose.copy(), 0.0)
             self._footing.forget()
         if anew or fits:
             watch.remember(transform(self._filter.pose, ends))
         key = anew or (fits and not watch.doubtful and self._is_key())
         if key:
+            # The match has told the velocity better than what the sweep was set right by.
             resampler.points(scan, self._filter.twist if self.config.deskew else np.zeros(3), middle_s)
             whole = self.config.reference_points == "all"
             seen = resampler.filled(self.config.fill_m) if whole else (points[:, :2], points[:, 2:])
@@ -233,16 +234,16 @@ class LaserOdometry:
             velocity = self._steady()
             self._filter.bound(unseen, self._cruise.steady_s > 0.0)
             self._filter.steer(unseen, velocity)
-        self._unseen_s += duration_s
         if fits and self._footing.firm and not self._watch.doubtful:
             self._learn_velocity(deviation_m(matching.information), duration_s)
+        else:
+            self._last_seen = None
         return unseen
 
     def _learn_velocity(self, off_m: float, duration_s: float) -> None:
-        """Take in the way from the last scan that saw every direction by what stands to this one, which does.
+        """Take in the motion to a scan that saw every direction by what stands, if the one before did, too.
 
-        The first motion that is seen again takes back what was wrong before and is no velocity; the whole way
-        over what was not seen may be one.
+        The first motion that is seen again takes back what was wrong before: it is no velocity.
 
         Args:
             off_m: How far this scan may be off in the direction that it sees worst.
@@ -250,13 +251,10 @@ class LaserOdometry:
         """
         pose = self._filter.pose.copy()
         if self._last_seen is not None:
-            way, ends_m = between(self._last_seen[0], pose), max(off_m, self._last_seen[1])
-            if self._unseen_s <= duration_s:
-                self._cruise.see(way, duration_s, ends_m)
-                self._footing.believe(self._filter.twist)
-            else:
-                self._cruise.bridge(way, self._unseen_s, ends_m)
-        self._last_seen, self._unseen_s = (pose, off_m), 0.0
+            motion, ends_m = between(self._last_seen[0], pose), max(off_m, self._last_seen[1])
+            self._cruise.see(motion, duration_s, ends_m)
+            self._footing.believe(self._filter.twist)
+        self._last_seen = (pose, off_m)
 
     def _telling_s(self, points: Oriented, matching: Matching) -> Matrix | None:
         """Return when the points (N, 4) of a slow sweep that tell were seen, on the laser's axes."""

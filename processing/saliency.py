@@ -60,6 +60,8 @@ class Resampler:
     def __init__(self, config: ResamplingConfig, beams: Beams) -> None:
         bearings = beams.bearings()
         self.beams = beams
+        self.noise_m = 0.0
+        """Standard deviation of a ray: through a noisy laser only longer walls are told to be straight."""
         self._wanted = config.points
         self._directions = np.column_stack((np.cos(bearings), np.sin(bearings)))
         self._rule = np.array(
@@ -118,13 +120,11 @@ class Resampler:
         )
         return self._means[:written].copy()
 
-    def oriented_means(self, walls: bool = True, noise_m: float = 0.0) -> NDArray[np.float64]:
+    def oriented_means(self, walls: bool = True) -> NDArray[np.float64]:
         """Return the same as `means` with the straight walls that they are on.
 
         Args:
             walls: Whether these are looked for.
-            noise_m: Standard deviation of a ray: through a noisy laser, a wall must be seen for longer to be
-                told to be straight.
 
         Returns:
             (K, 4): place, and unit normal of the wall towards the laser, 0 for points of no wall. Lone hits
@@ -136,7 +136,7 @@ class Resampler:
         members = self._members[: len(means)]
         middles = np.cumsum(members) - (members + 1) // 2 if self._wanted else self._numbers[: len(means)]
         normals = np.empty_like(means)
-        straight_m = max(STRAIGHT_M, LENGTH_A_NOISE * noise_m)
+        straight_m = max(STRAIGHT_M, LENGTH_A_NOISE * self.noise_m)
         face(self._points, self._count, middles, straight_m, STRAIGHT, normals)
         lean(self._points, self._rays, self._count, middles, abs(self.beams.angle_increment_rad), normals)
         return np.hstack((means, normals))

@@ -160,6 +160,29 @@ def test_who_sets_out_unseen_after_a_turn_on_the_spot_is_found_when_something_co
     assert off(matches[-1], matches[0], se2.between(poses[0], poses[-1]))[0] < 0.05
 
 
+def sweeping(building, poses, seed=0):
+    """What the laser sees on its way from each pose (x, y, yaw) to the next."""
+    rng = np.random.default_rng(seed)
+    share = (LASER.time_increment_s / LASER.period_s * np.arange(LASER.beams))[:, None]
+    ways = zip(poses, np.vstack((poses[1:], poses[-1:])), strict=True)
+    return [LASER.measure(building, a + share * (b - a), rng) for a, b in ways]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_who_stops_to_turn_where_nothing_is_seen_is_not_taken_to_drive_on(seed):
+    # Once around in a room, out of it and along a corridor, and a quarter turn on the spot in its middle.
+    building = Building(outline([(-4.0, -2.0, 0.0, 2.0), (-0.01, -0.8, 40.0, 0.8)]))
+    yaw = np.concatenate((np.linspace(0.0, 2.0 * np.pi, 63), np.full(350, 2.0 * np.pi)))
+    yaw = np.concatenate((yaw, yaw[-1] + np.linspace(0.1, 1.5, 15)))
+    x = np.full(len(yaw), -2.0)
+    x[63:] += np.minimum(0.04 * np.arange(1, len(yaw) - 62), 0.04 * 350)
+    poses = np.column_stack((x, np.zeros_like(x), yaw))
+    matches = follow(sweeping(building, poses, seed), seed)
+    before, after = 410, len(poses) - 1
+    assert {match.state for match in matches[before:]} == {Tracking.DEGENERATE}
+    assert off(matches[after], matches[before], se2.between(poses[before], poses[after]))[0] < 0.25
+
+
 def along_a_corridor(person, **how):
     """True poses and matches of a drive out of a room along a plain corridor in which somebody walks."""
     start, end, speed_mps = person

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drivers.world import Spinning, demo_building, pillar_hall, simulate_scans, square_of_corridors
+from drivers.world import Spinning, corridor, demo_building, pillar_hall, simulate_scans, square_of_corridors
 from processing import se2, straightening
 from processing.evaluation import absolute_errors
 from processing.matching import MatchingConfig
@@ -103,6 +103,15 @@ def test_the_velocity_of_slow_sweeps_does_not_swing(building):
     true = np.linalg.norm(np.diff(places, axis=0), axis=1) / LASER.period_s
     # Between the middles of two sweeps it may have changed by a tenth of a metre a second.
     assert np.abs(found - true).max() < 0.15
+
+
+def test_through_a_noisy_laser_a_bare_corridor_is_not_seen_along_either():
+    laser = Spinning(range_max_m=6.0, noise_m=0.03)
+    beams, odometry = beams_of_laser(laser), LaserOdometry(OdometryConfig(), 1)
+    how = {"speed_mps": 0.5, "rest_s": 0.0, "seed": 1, "max_scans": 160}
+    drive = simulate_scans(corridor(40.0), laser=laser, **how)
+    states = [odometry.step(Scan(stamp_ns, ranges_m, beams)).state for stamp_ns, ranges_m, _ in drive]
+    assert np.mean([state is Tracking.DEGENERATE for state in states[100:]]) > 0.7
 
 
 @pytest.mark.parametrize("straightened", [True, False])
