@@ -9,6 +9,8 @@ from numpy.typing import DTypeLike, NDArray
 class Growing:
     """An array whose first axis grows; its room doubles, so that a row costs the same at any length.
 
+    The room ahead is not written to, and so takes no memory of a large array before its rows come.
+
     Args:
         shape: Of a row.
         dtype: Of its numbers.
@@ -29,13 +31,17 @@ class Growing:
     def append(self, row: object) -> None:
         """Add a row."""
         if self._count == len(self._room):
-            self._room = np.concatenate((self._room, np.zeros_like(self._room)))
+            self._make_room(2 * self._count)
         self._room[self._count] = row
         self._count += 1
 
     def replace(self, rows: NDArray[Any]) -> None:
         """Become a copy of these rows (N, ...)."""
         self._count = len(rows)
-        self._room = np.concatenate(
-            (rows, np.zeros((64, *rows.shape[1:]), rows.dtype)), dtype=self._room.dtype
-        )
+        self._room = np.asarray(rows, self._room.dtype)
+        self._make_room(self._count + 64)
+
+    def _make_room(self, size: int) -> None:
+        room = np.zeros((size, *self._room.shape[1:]), self._room.dtype)
+        room[: self._count] = self._room[: self._count]
+        self._room = room

@@ -208,7 +208,7 @@ class Ancestry:
         records = self._free[self._free_count[0] - length : self._free_count[0]][::-1].copy()
         self._free_count[0] -= length
         self.poses[records] = trunk
-        self.previous[records[1:]] = records[:-1]
+        self.previous[records] = np.concatenate(((NONE,), records[:-1]))
         self.nodes[self.leaves, 2] = records[-1]
         if particles == 1:
             self.nodes[0, 3] = records[0]
@@ -233,8 +233,10 @@ class Ancestry:
 
     def _grow(self, rows: int) -> None:
         size = self.previous.shape[0]
-        self.previous = np.concatenate((self.previous, np.full(rows, NONE, dtype=np.int32)))
-        self.poses = np.concatenate((self.poses, np.zeros((rows, 3))))
+        # What no path has come to yet is not written to: of large arrays it takes no memory.
+        previous, poses = np.zeros(size + rows, dtype=np.int32), np.zeros((size + rows, 3))
+        previous[:size], poses[:size] = self.previous, self.poses
+        self.previous, self.poses = previous, poses
         fresh = np.arange(size + rows - 1, size - 1, -1, dtype=np.int32)
         free = self._free[: self._free_count[0]]
         self._free = np.concatenate((free, fresh, np.zeros(size - free.shape[0], dtype=np.int32)))
