@@ -14,6 +14,8 @@ from drivers.world.pursuit import Pursuit, PursuitConfig
 
 _STEP_S = 0.01
 _FIRST_NS = 1_000_000_000
+_STEADY_S = (5.0, 15.0)
+"""For so long an unsteady hand keeps a speed."""
 
 
 def simulate_scans(
@@ -25,6 +27,7 @@ def simulate_scans(
     turn_rate_radps: float = 1.0,
     acceleration_mps2: float = 0.5,
     turn_acceleration_radps2: float = 3.0,
+    unsteady: float = 0.0,
     laps: int = 1,
     max_scans: int | None = None,
     base_t_laser: ArrayLike = (0.0, 0.0, 0.0),
@@ -41,6 +44,7 @@ def simulate_scans(
         turn_rate_radps: Greatest turn rate, and the rate of turns on the spot.
         acceleration_mps2: Limit of the change of speed.
         turn_acceleration_radps2: Limit of the change of turn rate.
+        unsteady: By which share at most the robot is driven slower, another one every few seconds.
         laps: How often to drive the whole route.
         max_scans: Stop earlier, after so many scans.
         base_t_laser: (3,) mounting of the laser on the robot.
@@ -58,7 +62,8 @@ def simulate_scans(
         building.closed and route is None,
         PursuitConfig(speed_mps=speed_mps, turn_rate_radps=turn_rate_radps),
     )
-    drive = _Drive(pursuit, waypoints, acceleration_mps2, turn_acceleration_radps2, rest_s, laps)
+    hand = _Hand(unsteady, seed)
+    drive = _Drive(pursuit, hand, waypoints, acceleration_mps2, turn_acceleration_radps2, rest_s, laps)
     offsets_s = laser.time_increment_s * np.arange(laser.beams)
     rng = np.random.default_rng(seed)
     mounting = np.asarray(base_t_laser, dtype=np.float64)
@@ -78,12 +83,31 @@ def simulate_scans(
         number += 1
 
 
+class _Hand:
+    """Whoever drives: not always at the same speed, up to a share slower."""
+
+    def __init__(self, unsteady: float, seed: int) -> None:
+        if not 0.0 <= unsteady < 1.0:
+            raise ValueError(f"unsteady = {unsteady}, must be in [0, 1)")
+        self._unsteady, self._rng = unsteady, np.random.default_rng((seed, 1))
+        self._share, self._left = 1.0, 0
+
+    def share(self) -> float:
+        """Return at which share of the speed that is asked for the robot is driven in the next step."""
+        if self._left == 0:
+            self._left = round(self._rng.uniform(*_STEADY_S) / _STEP_S)
+            self._share = 1.0 - self._unsteady * float(self._rng.random())
+        self._left -= 1
+        return self._share
+
+
 class _Drive:
     """The motion of the base in steps of 10 ms, made as far as it is asked for."""
 
     def __init__(
         self,
         pursuit: Pursuit,
+        hand: _Hand,
         route: Array,
         acceleration: float,
         turn_acceleration: float,
@@ -91,7 +115,7 @@ class _Drive:
         laps: int,
     ) -> None:
         heading = np.arctan2(*(route[1] - route[0])[::-1])
-        self._pursuit, self._laps, self._rest_s = pursuit, laps, rest_s
+        self._pursuit, self._hand, self._laps, self._rest_s = pursuit, hand, laps, rest_s
         self._dv, self._dw = acceleration * _STEP_S, turn_acceleration * _STEP_S
         self._pose = (float(route[0, 0]), float(route[0, 1]), float(heading))
         self._v = self._w = 0.0
@@ -115,7 +139,8 @@ class _Drive:
             return
         v, w = (0.0, 0.0)
         if self._steps * _STEP_S >= self._rest_s and not finished:
-            v, w = self._pursuit.command(np.array(self._pose))
+            share = self._hand.share()
+            v, w = (share * asked for asked in self._pursuit.command(np.array(self._pose)))
         self._v += min(max(v - self._v, -self._dv), self._dv)
         self._w += min(max(w - self._w, -self._dw), self._dw)
         x, y, yaw = self._pose

@@ -20,10 +20,12 @@ from runtime.nodes.log_scans import by_stamps
 
 DEFAULT = (
     "campus SICK",
+    "campus SICK, unsteady",
     "floor SICK",
     "floor spinning",
     "floor spinning, dim",
     "floor URG",
+    "floor URG, unsteady",
     "floor URG, people",
 )
 STRETCH, STEP = 20, 10

@@ -34,6 +34,8 @@ from runtime.nodes.log_scans import by_stamps
 
 NEAR_M = 8.0
 DARK_SHARE = 0.4
+UNSTEADY = 0.2
+"""By so much slower at most is a robot driven whose driver does not keep its speed."""
 HOLES, HOLE = 12, 5
 """So many holes of so many scans, at random places."""
 LARGEST_SHARE, LARGEST_M = 5.0, 0.3
@@ -86,11 +88,14 @@ def _dim() -> world.Spinning:
     return world.Spinning(range_max_m=6.0, noise_m=0.03)
 
 
-def _campus(seed: int) -> Drive:
+def _campus(unsteady: float = 0.0) -> Callable:
     """A long way through long corridors: another building with each seed."""
-    return _simulated(
-        lambda: floor_plan(seed, 1200.0, CAMPUS), 0.2, world.Sick, speed_mps=0.8, turn_rate_radps=1.0
-    )(seed)
+
+    def make(seed: int) -> Drive:
+        drive = {"speed_mps": 0.8, "turn_rate_radps": 1.0, "unsteady": unsteady}
+        return _simulated(lambda: floor_plan(seed, 1200.0, CAMPUS), 0.2, world.Sick, **drive)(seed)
+
+    return make
 
 
 def _with_relations(course: Course, bound_m: float) -> Drive:
@@ -245,7 +250,9 @@ COURSES: dict[str, Callable[[int], Drive | None]] = {
     "floor URG, people": _floor(world.Urg04lx, 6, 0.2, speed_mps=0.4),
     "floor spinning, dim": _floor(_dim, 0, 0.1, speed_mps=0.6, turn_rate_radps=1.5),
     "floor spinning": _floor(world.Spinning, 0, 0.1, speed_mps=0.6, turn_rate_radps=1.5),
-    "campus SICK": _campus,
+    "floor URG, unsteady": _floor(world.Urg04lx, 0, 0.2, speed_mps=0.4, unsteady=UNSTEADY),
+    "campus SICK": _campus(),
+    "campus SICK, unsteady": _campus(UNSTEADY),
     "pillars": _simulated(lambda: world.pillar_hall(20.0, 12.0), 0.1),
 }
 

@@ -200,6 +200,21 @@ def test_a_lap_ends_where_it_began():
     assert np.hypot(*(truths[-1] - truths[0])[:2]) < 0.3
 
 
+def test_an_unsteady_hand_keeps_a_speed_for_seconds_and_then_another_one():
+    laser, hall = Sick(beams=1), corridor(60.0, 2.0)
+    drive = {"laser": laser, "speed_mps": 0.5, "rest_s": 0.0, "max_scans": 350, "seed": 4}
+    poses = np.array([truth for *_, truth in simulate_scans(hall, unsteady=0.4, **drive)])
+    speeds = np.diff(poses[10:, 0]) / laser.period_s
+    assert 0.29 < speeds.min() < 0.4
+    assert 0.42 < speeds.max() < 0.51
+    changes = np.flatnonzero(np.abs(np.diff(speeds)) > 0.01)
+    held = np.diff(changes[np.diff(changes, prepend=-10) > 5]) * laser.period_s
+    assert len(held) >= 3
+    assert held.min() >= 4.5
+    with pytest.raises(ValueError, match=r"unsteady = 1.0, must be in \[0, 1\)"):
+        next(simulate_scans(hall, unsteady=1.0))
+
+
 def test_a_robot_drives_the_arc_of_its_wheels():
     robot = WheeledRobot(Building(np.empty((0, 4))), (0.0, 0.0, 0.0))
     speed, turn = 0.2, 0.4
