@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from processing.cruise import SHARP_SCANS, SURE_M, Cruise
+from processing.cruise import Cruise
+from processing.habits import SHARP_SCANS, SURE_M
 from processing.prediction import exponential
 
 
@@ -111,6 +112,61 @@ def test_motions_that_hardly_see_weigh_as_little_as_they_know(vague_m):
     expected = np.average((0.8, 0.7), weights=(21.0, 4.0 * weight))
     assert held == pytest.approx(expected, abs=1e-6)
     assert held > np.average((0.8, 0.7), weights=(21.0, 4.0))
+
+
+@pytest.mark.parametrize(
+    ("seen_m_s", "goes_on_m_s"),
+    [
+        (0.29, 0.3),  # a second tells a velocity no better than this: it drives as always
+        (0.31, 0.3),
+        (0.25, 0.25),  # it drives slower here
+        (0.36, 0.36),
+    ],
+)
+def test_behind_a_corner_a_glimpse_tells_whether_it_drives_as_always_and_not_how_fast(seen_m_s, goes_on_m_s):
+    cruise = Cruise(0.1)
+    turning(cruise, 0.3, 0.0, 60)
+    turning(cruise, 0.1, 0.9, 20)
+    turning(cruise, seen_m_s, 0.0, 12)
+    held = cruise.velocity(np.array((seen_m_s, 0.0, 0.0)), 0.01)
+    assert held[0] == pytest.approx(goes_on_m_s, abs=0.004)
+    # That it goes on so is as sure as the glimpse was long.
+    assert cruise.steady_s == pytest.approx(1.3, abs=0.3)
+
+
+def test_the_usual_velocity_is_the_one_that_was_steady_for_longest_until_another_one_was():
+    cruise = Cruise(0.1)
+    turning(cruise, 0.3, 0.0, 80)
+    turning(cruise, 0.1, 0.9, 20)
+    turning(cruise, 0.306, 0.0, 25)
+    turning(cruise, 0.1, -0.9, 20)
+    turning(cruise, 0.309, 0.0, 12)
+    present = np.array((0.309, 0.0, 0.0))
+    assert cruise.velocity(present, 0.01)[0] == pytest.approx(0.3, abs=0.002)
+    turning(cruise, 0.4, 0.0, 25)
+    turning(cruise, 0.1, 0.9, 20)
+    turning(cruise, 0.309, 0.0, 12)
+    assert cruise.velocity(present, 0.01)[0] == pytest.approx(0.309, abs=0.002)
+
+
+def test_who_is_faster_than_ever_all_of_a_sudden_was_drawn_along_by_somebody():
+    cruise = Cruise(0.1)
+    turning(cruise, 0.4, 0.0, 60)
+    for speed in (0.8, 1.0, 1.15, 0.95):
+        turning(cruise, speed, 0.0, 1)
+    assert cruise.velocity(np.array((0.97, 0.0, 0.0)), 0.4)[0] == pytest.approx(0.4, abs=0.01)
+    assert cruise.steady_s == 0.0
+    # Unless the filter knows.
+    cruise.see(exponential(np.array((0.095, 0.0, 0.0))), 0.1)
+    assert cruise.velocity(np.array((0.97, 0.0, 0.0)), 0.1)[0] > 0.9
+
+
+def test_who_speeds_up_behind_a_sharp_turn_drives_on_as_before_it():
+    cruise = Cruise(0.1)
+    turning(cruise, 0.4, 0.0, 60)
+    for speed in (0.37, 0.3, 0.22, 0.23, 0.22, 0.21, 0.17, 0.31, 0.3, 0.37):
+        turning(cruise, speed, 1.0, 1)
+    assert cruise.velocity(np.array((0.3, 0.0, 1.0)), 0.4)[0] == pytest.approx(0.4, abs=0.01)
 
 
 def turning(cruise, speed, turn_rate, scans):
