@@ -6,6 +6,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from processing.habits import SHARP_RAD_S, STEADY_M_S, SURE_M, TurnSpeeds, UsualVelocity
 from processing.prediction import Twist, logarithm
 from processing.se2 import Pose
 
@@ -17,19 +18,8 @@ TURNING_RAD_S = 0.1
 """Who turns faster drives at another speed than straight on,"""
 TURNING_S = 0.5
 """in the mean over so long."""
-SHARP_RAD_S = (0.3, 0.6)
-"""Who turns faster than this, and than that, drives at a speed that belongs to it: robots slow down there."""
-SHARP_SCANS = 10
-"""So many scans of such turns tell the speed that belongs to them,"""
-SHARP_MEMORY = 100
-"""and so many of the newest count."""
-STEADY_M_S = 0.15
-"""What the filter's velocity may be off a steady one, if it does not know itself to be worse; farther, and
-the laser has changed its speed."""
 USUAL_S = 2.0
 """A velocity that was steady for so long is the one that the laser takes up again when it speeds up."""
-SURE_M = 0.03
-"""Motions whose ends are known better than this all weigh the same."""
 LEAST_SCANS = 3
 """Of fewer that see no velocity was steady."""
 STANDING_M_S = 0.05
@@ -51,7 +41,7 @@ class Cruise:
         self._seen: deque[Twist] = deque(maxlen=self._counts[0])
         self._weights: deque[float] = deque(maxlen=self._counts[0])
         self._held: NDArray[np.float64] | None = None
-        self._usual: NDArray[np.float64] | None = None
+        self._usual = UsualVelocity()
         self._in_turns = TurnSpeeds()
         self._long = max(2, round(USUAL_S / period_s))
         self.steady_s = 0.0
@@ -70,11 +60,7 @@ class Cruise:
         self._weights.append(1.0 / max(deviation_m, SURE_M) ** 2)
         self._held = None
         self._in_turns.see(self._seen[-1])
-        newest = np.array(list(islice(reversed(self._seen), self._long)))
-        if len(newest) == self._long and _is_straight(newest):
-            weights = np.array(list(islice(reversed(self._weights), self._long)))
-            if _is_even(newest[:, :2], weights):
-                self._usual = _mean(newest[:, :2], weights)
+        self._note_usual()
 
     def velocity(self, twist: Twist, doubt_m_s: float, turn_rate_rad_s: float = 0.0) -> NDArray[np.float64]:
         """Return the velocity (2,), laser frame, to go on with until everything is seen again.
@@ -95,10 +81,11 @@ class Cruise:
             first = self._first_straight(twists)
             straight, weights = twists[first:, :2], weights[first:]
             windows = ((straight[-count:], weights[-count:]) for count in self._counts)
-            # A scan that hardly sees is as good as a part of one that does.
-            means = ((_mean(*window), SURE_M**2 * window[1].sum()) for window in windows if _is_even(*window))
+            means = ((_mean(*window), _seeing(window[1])) for window in windows if _is_even(*window))
             steady = ((mean, count) for mean, count in means if np.hypot(*(mean - twist[:2])) < off_m_s)
-            self._held, count = next(steady, (self._aim(twist), 0.0))
+            self._held, count = next(steady, (self._aim(twist, doubt_m_s), 0.0))
+            if count > 0.0:
+                self._held = self._usual.better(self._held, count * self._period_s)
             sets_out = np.hypot(*self._held) < STANDING_M_S and count < self._long
             too_few = count < min(LEAST_SCANS, self._counts[-1])
             self.steady_s = 0.0 if sets_out or too_few else float(count * self._period_s)
@@ -108,24 +95,42 @@ class Cruise:
         in_turn = self._in_turns.velocity(turn_rate_rad_s)
         return self._held if in_turn is None else in_turn
 
-    def _aim(self, twist: Twist) -> NDArray[np.float64]:
-        """Return the velocity (2,) of a laser that has no steady one: the usual one, if it speeds up to it.
+    def _note_usual(self) -> None:
+        if len(self._seen) < self._long:
+            return
+        twists, weights = np.array(self._seen), np.array(self._weights)
+        straight = len(twists) - self._first_straight(twists)
+        for window in (slice(-count, None) for count in self._counts if count <= straight):
+            if _is_even(twists[window, :2], weights[window]):
+                if (seeing := _seeing(weights[window])) > self._long - 0.5:
+                    self._usual.see(_mean(twists[window, :2], weights[window]), seeing * self._period_s)
+                return
+
+    def _aim(self, twist: Twist, doubt_m_s: float) -> NDArray[np.float64]:
+        """Return the velocity (2,) of a laser that has no steady one: the present one, or the usual one.
 
         Who comes out of a turn into a corridor where nothing is seen drives on as before the turn, and not as
-        slowly as at its end.
+        slowly as at its end. And who does not know better drives as usual: a little slower is noise, and all
+        of a sudden faster than ever is drawn along by somebody.
 
         Args:
             twist: (3,) the present one.
+            doubt_m_s: How far that may be off, one sigma.
         """
-        usual = self._usual
-        if usual is None or np.linalg.norm(usual) < EVEN_M_S:
+        usual = self._usual.mean
+        usual_m_s = float(np.linalg.norm(usual))
+        if usual_m_s < EVEN_M_S:
             return twist[:2].copy()
-        ahead = usual / np.linalg.norm(usual)
-        speeds = np.array(list(islice(reversed(self._seen), 2 * self._turning)))[::-1, :2] @ ahead
+        ahead = usual / usual_m_s
+        present_m_s = float(twist[:2] @ ahead)
+        newest = list(islice(reversed(self._seen), max(4, self._turning)))
+        speeds = np.array(newest)[::-1, :2] @ ahead
         half = len(speeds) // 2
         rises = half > 0 and speeds[half:].mean() > speeds[:half].mean() + EVEN_M_S
-        below = EVEN_M_S < float(twist[:2] @ ahead) < float(usual @ ahead)
-        return usual.copy() if rises and below else twist[:2].copy()
+        speeds_up = rises and EVEN_M_S < present_m_s < usual_m_s
+        slower = usual_m_s - present_m_s > min(STEADY_M_S, 0.5 * usual_m_s)
+        known = np.hypot(*(twist[:2] - usual)) > 2.0 * doubt_m_s
+        return usual.copy() if speeds_up or not (slower or known) else twist[:2].copy()
 
     def _first_straight(self, twists: NDArray[np.float64]) -> int:
         """Return which twist of (M, 3) is the first since the last turn, or of the shortest time at least."""
@@ -139,17 +144,17 @@ class Cruise:
         """Begin anew: what was is no more."""
         self._seen.clear()
         self._weights.clear()
-        self._held = self._usual = None
-
-
-def _is_straight(twists: NDArray[np.float64]) -> bool:
-    """Whether twists (M, 3), M >= 1, do not turn."""
-    return abs(float(twists[:, 2].mean())) < TURNING_RAD_S
+        self._held, self._usual = None, UsualVelocity()
 
 
 def _mean(velocities: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the weighted mean (2,) of velocities (M, 2), M >= 1."""
     return np.asarray(weights @ velocities / weights.sum())
+
+
+def _seeing(weights: NDArray[np.float64]) -> float:
+    """Return how many scans that see are as good as those of weights (M,): some hardly do."""
+    return float(SURE_M**2 * weights.sum())
 
 
 def _is_even(velocities: NDArray[np.float64], weights: NDArray[np.float64]) -> bool:
@@ -159,29 +164,3 @@ def _is_even(velocities: NDArray[np.float64], weights: NDArray[np.float64]) -> b
         return True
     change = _mean(velocities[half:], weights[half:]) - _mean(velocities[:half], weights[:half])
     return bool(np.hypot(change[0], change[1]) < EVEN_M_S)
-
-
-class TurnSpeeds:
-    """At which velocity a robot drives while it turns sharply, as it was seen to."""
-
-    def __init__(self) -> None:
-        self._means = np.zeros((len(SHARP_RAD_S), 2))
-        self._counts = np.zeros(len(SHARP_RAD_S), np.int64)
-
-    def see(self, twist: Twist) -> None:
-        """Take in a twist (3,) that was seen, whatever it is."""
-        sharp = _sharpness(twist[2])
-        if sharp >= 0:
-            self._counts[sharp] += 1
-            share = 1.0 / min(self._counts[sharp], SHARP_MEMORY)
-            self._means[sharp] += share * (twist[:2] - self._means[sharp])
-
-    def velocity(self, turn_rate_rad_s: float) -> NDArray[np.float64] | None:
-        """Return the velocity (2,) of turns as sharp as this, or nearly; None if too few were seen."""
-        known = np.flatnonzero(self._counts[: _sharpness(turn_rate_rad_s) + 1] >= SHARP_SCANS)
-        return self._means[known[-1]].copy() if len(known) else None
-
-
-def _sharpness(turn_rate_rad_s: float) -> int:
-    """Return which of SHARP_RAD_S a turn exceeds, the fastest of them; -1 for none."""
-    return int(np.searchsorted(SHARP_RAD_S, abs(turn_rate_rad_s))) - 1
