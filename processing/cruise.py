@@ -13,7 +13,7 @@ from processing.se2 import Pose
 CRUISE_S = (8.0, 6.0, 4.0, 3.0, 2.0, 1.0, 0.5)
 """Times over which a velocity may have been steady, the longest first."""
 EVEN_M_S = 0.03
-"""What the means of the two halves of such a time may differ by."""
+"""What the means of the two parts of such a time may differ by."""
 TURNING_RAD_S = 0.1
 """Who turns faster drives at another speed than straight on,"""
 TURNING_S = 0.5
@@ -81,7 +81,7 @@ class Cruise:
             first = self._first_straight(twists)
             straight, weights = twists[first:, :2], weights[first:]
             windows = ((straight[-count:], weights[-count:]) for count in self._counts)
-            means = ((_mean(*window), _seeing(window[1])) for window in windows if _is_even(*window))
+            means = ((_mean(*window), _seeing(window[1])) for window in windows if self._is_even(*window))
             steady = ((mean, count) for mean, count in means if np.hypot(*(mean - twist[:2])) < off_m_s)
             self._held, count = next(steady, (self._aim(twist, doubt_m_s), 0.0))
             if count > 0.0:
@@ -101,7 +101,7 @@ class Cruise:
         twists, weights = np.array(self._seen), np.array(self._weights)
         straight = len(twists) - self._first_straight(twists)
         for window in (slice(-count, None) for count in self._counts if count <= straight):
-            if _is_even(twists[window, :2], weights[window]):
+            if self._is_even(twists[window, :2], weights[window]):
                 if (seeing := _seeing(weights[window])) > self._long - 0.5:
                     self._usual.see(_mean(twists[window, :2], weights[window]), seeing * self._period_s)
                 return
@@ -140,6 +140,15 @@ class Cruise:
         first = int(turns[-1]) + 1 if len(turns) else 0
         return min(first, max(0, len(twists) - self._counts[-1]))
 
+    def _is_even(self, velocities: NDArray[np.float64], weights: NDArray[np.float64]) -> bool:
+        """Whether velocities (M, 2), M >= 1, weights (M,), are the same in both halves of their time.
+
+        And whether the laser did not speed up in the first quarter, where that is long enough to tell.
+        """
+        count = len(velocities)
+        quarter = count // 4 if count >= self._long else 0
+        return all(_change(velocities, weights, first) < EVEN_M_S for first in (count // 2, quarter) if first)
+
     def forget(self) -> None:
         """Begin anew: what was is no more."""
         self._seen.clear()
@@ -152,15 +161,12 @@ def _mean(velocities: NDArray[np.float64], weights: NDArray[np.float64]) -> NDAr
     return np.asarray(weights @ velocities / weights.sum())
 
 
+def _change(velocities: NDArray[np.float64], weights: NDArray[np.float64], first: int) -> float:
+    """Return by how much velocities (M, 2), weights (M,), changed after the first so many."""
+    change = _mean(velocities[first:], weights[first:]) - _mean(velocities[:first], weights[:first])
+    return float(np.hypot(change[0], change[1]))
+
+
 def _seeing(weights: NDArray[np.float64]) -> float:
     """Return how many scans that see are as good as those of weights (M,): some hardly do."""
     return float(SURE_M**2 * weights.sum())
-
-
-def _is_even(velocities: NDArray[np.float64], weights: NDArray[np.float64]) -> bool:
-    """Whether velocities (M, 2), M >= 1, weights (M,), are the same in both halves of their time."""
-    half = len(velocities) // 2
-    if half == 0:
-        return True
-    change = _mean(velocities[half:], weights[half:]) - _mean(velocities[:half], weights[:half])
-    return bool(np.hypot(change[0], change[1]) < EVEN_M_S)

@@ -134,6 +134,14 @@ def test_behind_a_corner_a_glimpse_tells_whether_it_drives_as_always_and_not_how
     assert cruise.steady_s == pytest.approx(1.3, abs=0.3)
 
 
+def test_the_seconds_in_which_it_sped_up_do_not_count():
+    cruise = Cruise(0.1)
+    for speed in (0.15, 0.2, 0.25) + (0.3,) * 27:
+        turning(cruise, speed, 0.0, 1)
+    assert cruise.velocity(np.array((0.3, 0.0, 0.0)), 0.01)[0] == pytest.approx(0.3, abs=0.006)
+    assert cruise.steady_s == pytest.approx(3.0, abs=0.2)
+
+
 def test_the_usual_velocity_is_the_one_that_was_steady_for_longest_until_another_one_was():
     cruise = Cruise(0.1)
     turning(cruise, 0.3, 0.0, 80)
