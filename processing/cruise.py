@@ -76,24 +76,30 @@ class Cruise:
             turn_rate_rad_s: Of the laser now: walls tell it where they do not tell the way along them.
         """
         if self._held is None:
-            off_m_s = max(STEADY_M_S, doubt_m_s)
-            twists, weights = np.array((*self._seen, twist)), np.array((*self._weights, 1.0 / SURE_M**2))
-            first = self._first_straight(twists)
-            straight, weights = twists[first:, :2], weights[first:]
-            windows = ((straight[-count:], weights[-count:]) for count in self._counts)
-            means = ((_mean(*window), _seeing(window[1])) for window in windows if self._is_even(*window))
-            steady = ((mean, count) for mean, count in means if np.hypot(*(mean - twist[:2])) < off_m_s)
-            self._held, count = next(steady, (self._aim(twist, doubt_m_s), 0.0))
-            if count > 0.0:
-                self._held = self._usual.better(self._held, count * self._period_s)
-            sets_out = np.hypot(*self._held) < STANDING_M_S and count < self._long
-            too_few = count < min(LEAST_SCANS, self._counts[-1])
-            self.steady_s = 0.0 if sets_out or too_few else float(count * self._period_s)
+            self._held, self.steady_s = self._hold(twist, doubt_m_s)
         if abs(turn_rate_rad_s) <= SHARP_RAD_S[0]:
             return self._held
         self.steady_s = 0.0
         in_turn = self._in_turns.velocity(turn_rate_rad_s)
         return self._held if in_turn is None else in_turn
+
+    def _hold(self, twist: Twist, doubt_m_s: float) -> tuple[NDArray[np.float64], float]:
+        """Return the velocity (2,) to go on with straight on, and for how long it had been steady, s."""
+        twists, weights = np.array((*self._seen, twist)), np.array((*self._weights, 1.0 / SURE_M**2))
+        first = self._first_straight(twists)
+        straight, weights = twists[first:, :2], weights[first:]
+        for count in self._counts:
+            window = straight[-count:], weights[-count:]
+            seeing = _seeing(window[1])
+            if seeing < min(LEAST_SCANS, self._counts[-1]):
+                break
+            velocity = _mean(*window)
+            is_present = np.hypot(*(velocity - twist[:2])) < max(STEADY_M_S, doubt_m_s)
+            if is_present and self._is_even(*window):
+                velocity = self._usual.better(velocity, seeing * self._period_s)
+                sets_out = np.hypot(*velocity) < STANDING_M_S and seeing < self._long
+                return velocity, 0.0 if sets_out else seeing * self._period_s
+        return self._aim(twist, doubt_m_s), 0.0
 
     def _note_usual(self) -> None:
         if len(self._seen) < self._long:

@@ -14,6 +14,9 @@ STEADY_M_S = 0.15
 its speed."""
 SURE_M = 0.03
 """Motions whose ends are known better than this all weigh the same."""
+SAME_M = 0.5 * SURE_M
+"""Two velocities may be one if the way seen of one would be so much longer by the other: matches err by some
+millimetres at both its ends."""
 SHARP_RAD_S = (0.3, 0.6)
 """Who turns faster than this, and than that, drives at a speed that belongs to it: robots slow down there."""
 SHARP_SCANS = 10
@@ -53,7 +56,7 @@ class UsualVelocity:
 
     def _may_be(self, velocity: NDArray[np.float64], seen_s: float) -> bool:
         off_m_s = float(np.hypot(*(velocity - self._mean)))
-        return off_m_s * seen_s < min(SURE_M, STEADY_M_S * seen_s)
+        return off_m_s * seen_s < min(SAME_M, STEADY_M_S * seen_s)
 
 
 class TurnSpeeds:
