@@ -20,6 +20,8 @@ TURNING_S = 0.5
 """in the mean over so long."""
 USUAL_S = 2.0
 """A velocity that was steady for so long is the one that the laser takes up again when it speeds up."""
+ERRATIC_M_S = 0.1
+"""What speeds of half a second may be off a straight line, in the mean, when a robot drives."""
 LEAST_SCANS = 3
 """Of fewer that see no velocity was steady."""
 STANDING_M_S = 0.05
@@ -133,10 +135,13 @@ class Cruise:
         speeds = np.array(newest)[::-1, :2] @ ahead
         half = len(speeds) // 2
         rises = half > 0 and speeds[half:].mean() > speeds[:half].mean() + EVEN_M_S
+        line = np.polynomial.Polynomial.fit(np.arange(len(speeds)), speeds, 1)
+        erratic = float(np.std(speeds - line(np.arange(len(speeds))))) > ERRATIC_M_S
         speeds_up = rises and EVEN_M_S < present_m_s < usual_m_s
         slower = usual_m_s - present_m_s > min(STEADY_M_S, 0.5 * usual_m_s)
         known = np.hypot(*(twist[:2] - usual)) > 2.0 * doubt_m_s
-        return usual.copy() if speeds_up or not (slower or known) else twist[:2].copy()
+        as_usual = speeds_up or not (known or (slower and not erratic))
+        return usual.copy() if as_usual else twist[:2].copy()
 
     def _first_straight(self, twists: NDArray[np.float64]) -> int:
         """Return which twist of (M, 3) is the first since the last turn, or of the shortest time at least."""

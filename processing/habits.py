@@ -17,6 +17,9 @@ SURE_M = 0.03
 SAME_M = 0.5 * SURE_M
 """Two velocities may be one if the way seen of one would be so much longer by the other: matches err by some
 millimetres at both its ends."""
+ANOTHER_SHARE = 0.5
+"""Of the time for which the usual velocity was seen another one must have been: robots slow down for a while,
+as in a bend or before a door."""
 SHARP_RAD_S = (0.3, 0.6)
 """Who turns faster than this, and than that, drives at a speed that belongs to it: robots slow down there."""
 SHARP_SCANS = 10
@@ -39,7 +42,8 @@ class UsualVelocity:
 
     def see(self, velocity: NDArray[np.float64], seen_s: float) -> None:
         """Take in a velocity (2,) that was steady for so long, seen with every direction."""
-        if seen_s >= self._seen_s or not self._may_be(velocity, seen_s):
+        share = 1.0 if self._may_be(velocity, seen_s) else ANOTHER_SHARE
+        if seen_s >= share * self._seen_s:
             self._mean, self._seen_s = velocity, seen_s
 
     def better(self, velocity: NDArray[np.float64], seen_s: float) -> NDArray[np.float64]:

@@ -151,7 +151,11 @@ def test_the_usual_velocity_is_the_one_that_was_steady_for_longest_until_another
     turning(cruise, 0.309, 0.0, 12)
     present = np.array((0.309, 0.0, 0.0))
     assert cruise.velocity(present, 0.01)[0] == pytest.approx(0.3, abs=0.002)
-    turning(cruise, 0.4, 0.0, 25)
+    turning(cruise, 0.4, 0.0, 25)  # a moment of it is not another habit
+    turning(cruise, 0.1, 0.9, 20)
+    turning(cruise, 0.309, 0.0, 12)
+    assert cruise.velocity(present, 0.01)[0] == pytest.approx(0.3, abs=0.002)
+    turning(cruise, 0.4, 0.0, 45)
     turning(cruise, 0.1, 0.9, 20)
     turning(cruise, 0.309, 0.0, 12)
     assert cruise.velocity(present, 0.01)[0] == pytest.approx(0.309, abs=0.002)
@@ -167,6 +171,18 @@ def test_who_is_faster_than_ever_all_of_a_sudden_was_drawn_along_by_somebody():
     # Unless the filter knows.
     cruise.see(exponential(np.array((0.095, 0.0, 0.0))), 0.1)
     assert cruise.velocity(np.array((0.97, 0.0, 0.0)), 0.1)[0] > 0.9
+
+
+@pytest.mark.parametrize(
+    ("seen_m_s", "goes_on_m_s"), [((0.1, -0.3, 0.2, -0.4, 0.1), 0.4), ((0.34, 0.28, 0.2, 0.1, 0.0), 0.0)]
+)
+def test_who_was_drawn_to_and_fro_drives_as_usual_and_who_slows_down_does_not(seen_m_s, goes_on_m_s):
+    cruise = Cruise(0.1)
+    turning(cruise, 0.4, 0.0, 60)
+    for speed in seen_m_s:
+        turning(cruise, speed, 0.0, 1)
+    assert cruise.velocity(np.array((-0.05, 0.0, 0.0)), 0.4)[0] == pytest.approx(goes_on_m_s, abs=0.06)
+    assert cruise.steady_s == 0.0
 
 
 def test_who_speeds_up_behind_a_sharp_turn_drives_on_as_before_it():
