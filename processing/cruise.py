@@ -110,7 +110,7 @@ class Cruise:
         straight = len(twists) - self._first_straight(twists)
         for window in (slice(-count, None) for count in self._counts if count <= straight):
             if self._is_even(twists[window, :2], weights[window]):
-                if (seeing := _seeing(weights[window])) > self._long - 0.5:
+                if round(seeing := _seeing(weights[window])) >= self._long:
                     self._usual.see(_mean(twists[window, :2], weights[window]), seeing * self._period_s)
                 return
 
@@ -118,8 +118,8 @@ class Cruise:
         """Return the velocity (2,) of a laser that has no steady one: the present one, or the usual one.
 
         Who comes out of a turn into a corridor where nothing is seen drives on as before the turn, and not as
-        slowly as at its end. And who does not know better drives as usual: a little slower is noise, and all
-        of a sudden faster than ever is drawn along by somebody.
+        slowly as at its end. And who does not know better drives as usual: a little slower is noise; all of a
+        sudden faster than ever, or to and fro, is drawn along by somebody.
 
         Args:
             twist: (3,) the present one.
@@ -180,4 +180,4 @@ def _change(velocities: NDArray[np.float64], weights: NDArray[np.float64], first
 
 def _seeing(weights: NDArray[np.float64]) -> float:
     """Return how many scans that see are as good as those of weights (M,): some hardly do."""
-    return float(SURE_M**2 * weights.sum())
+    return round(float(SURE_M**2 * weights.sum()), 6)

@@ -29,7 +29,7 @@ SHARP_MEMORY = 100
 
 
 class UsualVelocity:
-    """The velocity that was steady for longest, until another one was steady."""
+    """The velocity that was steady for longest, until another one was steady for half as long."""
 
     def __init__(self) -> None:
         self._mean: NDArray[np.float64] = np.zeros(2)
