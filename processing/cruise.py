@@ -1,6 +1,7 @@
 """The velocity that a laser has had for a while: with it, it goes on where its way is not seen."""
 
 from collections import deque
+from collections.abc import Iterable, Iterator
 from itertools import islice
 
 import numpy as np
@@ -90,14 +91,10 @@ class Cruise:
         twists, weights = np.array((*self._seen, twist)), np.array((*self._weights, 1.0 / SURE_M**2))
         first = self._first_straight(twists)
         straight, weights = twists[first:, :2], weights[first:]
-        for count in self._counts:
-            window = straight[-count:], weights[-count:]
-            seeing = _seeing(window[1])
+        for velocity, seeing in self._even_means(straight, weights, self._counts):
             if seeing < min(LEAST_SCANS, self._counts[-1]):
                 break
-            velocity = _mean(*window)
-            is_present = np.hypot(*(velocity - twist[:2])) < max(STEADY_M_S, doubt_m_s)
-            if is_present and self._is_even(*window):
+            if np.hypot(*(velocity - twist[:2])) < max(STEADY_M_S, doubt_m_s):
                 velocity = self._usual.better(velocity, seeing * self._period_s)
                 sets_out = np.hypot(*velocity) < STANDING_M_S and seeing < self._long
                 return velocity, 0.0 if sets_out else seeing * self._period_s
@@ -108,11 +105,27 @@ class Cruise:
             return
         twists, weights = np.array(self._seen), np.array(self._weights)
         straight = len(twists) - self._first_straight(twists)
-        for window in (slice(-count, None) for count in self._counts if count <= straight):
-            if self._is_even(twists[window, :2], weights[window]):
-                if round(seeing := _seeing(weights[window])) >= self._long:
-                    self._usual.see(_mean(twists[window, :2], weights[window]), seeing * self._period_s)
-                return
+        counts = [count for count in self._counts if count <= straight]
+        velocity, seeing = next(self._even_means(twists[:, :2], weights, counts), (np.zeros(2), 0.0))
+        if round(seeing) >= self._long:
+            self._usual.see(velocity, seeing * self._period_s)
+
+    def _even_means(
+        self, velocities: NDArray[np.float64], weights: NDArray[np.float64], counts: Iterable[int]
+    ) -> Iterator[tuple[NDArray[np.float64], float]]:
+        """Yield the mean of the newest so many velocities (M, 2), weights (M,), wherever they are even.
+
+        Args:
+            velocities: (M, 2), M >= 1, the newest last.
+            weights: (M,)
+            counts: How many of them, one mean each.
+
+        Yields:
+            The mean (2,), and how many scans that see are as good.
+        """
+        for window in (slice(-count, None) for count in counts):
+            if self._is_even(velocities[window], weights[window]):
+                yield _mean(velocities[window], weights[window]), _seeing(weights[window])
 
     def _aim(self, twist: Twist, doubt_m_s: float) -> NDArray[np.float64]:
         """Return the velocity (2,) of a laser that has no steady one: the present one, or the usual one.

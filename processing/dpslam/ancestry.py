@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from processing.growing import longer
 from processing.se2 import Pose
 
 NONE = -1
@@ -233,10 +234,7 @@ class Ancestry:
 
     def _grow(self, rows: int) -> None:
         size = self.previous.shape[0]
-        # What no path has come to yet is not written to: of large arrays it takes no memory.
-        previous, poses = np.zeros(size + rows, dtype=np.int32), np.zeros((size + rows, 3))
-        previous[:size], poses[:size] = self.previous, self.poses
-        self.previous, self.poses = previous, poses
+        self.previous, self.poses = longer(self.previous, size + rows), longer(self.poses, size + rows)
         fresh = np.arange(size + rows - 1, size - 1, -1, dtype=np.int32)
         free = self._free[: self._free_count[0]]
         self._free = np.concatenate((free, fresh, np.zeros(size - free.shape[0], dtype=np.int32)))

@@ -5,19 +5,19 @@ Being found on it means having come back. It only grows; when the path below it 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from processing.dpslam.settled_kernels import fit_of_points, look_away, note_views, refit, refit_all
+from processing.growing import longer
 from processing.local_map import BEHIND_M, BEHIND_SLANT
 from processing.matching_kernels import polish
 from processing.ndt import NdtConfig, Points, extent, oriented
 from processing.ndt_kernels import accumulate
 from processing.se2 import Pose, transform
 
-_T = TypeVar("_T", bound=np.generic)
 CELL_M = 0.25
 """Many scans fill a cell here, so it may be smaller than the half metre that one scan needs."""
 _STAGES = np.array(((0.01, 0.0), (0.0, 0.0)))
@@ -164,11 +164,11 @@ class SettledMap:
         need = known + len(points)
         if need > len(self._sums):
             size = 2 * need
-            self._sums = _longer(self._sums, size)
-            self._places = _longer(self._places, size)
-            self._normals = _longer(self._normals, 4 * size)
-            self._views = _longer(self._views, size)
-            self._owners = np.concatenate((self._owners, np.zeros(size - len(self._owners), np.int32)))
+            self._sums = longer(self._sums, size)
+            self._places = longer(self._places, size)
+            self._normals = longer(self._normals, 4 * size)
+            self._views = longer(self._views, size)
+            self._owners = longer(self._owners, size)
         accumulate(points, self._origin, self._slots, self._sums, self._places, self._counts)
         self._owners[known : self._counts[0]] = scan
         note_views(points, laser, self._origin, self._slots, self._views)
@@ -204,9 +204,3 @@ class SettledMap:
         self._sums[:, 4] += x * sv + y * su + n * x * y
         self._sums[:, 5] += 2.0 * y * sv + n * y * y
         self._normals[:, :2] += moved
-
-
-def _longer(table: NDArray[_T], size: int) -> NDArray[_T]:
-    grown = np.zeros((size, table.shape[1]), dtype=table.dtype)
-    grown[: len(table)] = table
-    return grown
