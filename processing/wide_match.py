@@ -12,21 +12,36 @@ from numpy.typing import NDArray
 
 from processing import wide_match_kernels as kernels
 from processing.ndt import extent
-from processing.se2 import Pose
+from processing.se2 import Pose, transform
 
 LEVELS = 6
 """Heights of the pyramid: the coarsest step is 2^5 cells."""
+NEAR_WALL = 0.1
+"""Fit from which a place is a wall's, whatever passed there: two standard deviations of the blur off."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Field:
-    """How well an end point fits at each place, 0 to 1, with its pyramid of maxima."""
+    """How well an end point fits at each place, 0 to 1, with its pyramid of maxima.
+
+    Where rays are known to have passed, -1: an end point there speaks against its place, one where nothing is
+    known does not.
+    """
 
     levels: NDArray[np.float32]
     """(LEVELS, rows, cols): level l holds the maximum over the 2^l x 2^l cells up and right of each cell."""
     resolution_m: float
     origin_m: NDArray[np.float64]
     """(2,) lower-left corner."""
+
+    def at(self, points: NDArray[np.float64], map_t_points: Pose) -> NDArray[np.float64]:
+        """Return how well each of the points (N, 2), moved to a pose (3,), fits where it lies; 0 outside."""
+        rows, cols = self.levels.shape[1:]
+        cells = np.floor((transform(map_t_points, points) - self.origin_m) / self.resolution_m).astype(int)
+        inside = ((cells >= 0) & (cells < (cols, rows))).all(axis=1)
+        fits = np.zeros(len(points))
+        fits[inside] = self.levels[0, cells[inside, 1], cells[inside, 0]]
+        return fits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +50,7 @@ class Place:
 
     map_t_points: Pose
     score: float
-    """Mean fit of the points there, 0 to 1."""
+    """Mean fit of the points there, at most 1, less what the offset costs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +63,12 @@ class Search:
 
 
 def build_field(
-    points_map: NDArray[np.float64], resolution_m: float, sigma_m: float, margin_m: float
+    points_map: NDArray[np.float64],
+    resolution_m: float,
+    sigma_m: float,
+    margin_m: float,
+    passed_map: NDArray[np.float64] | None = None,
+    passed_edge_m: float = 0.0,
 ) -> Field:
     """Blur points (N, 2) of a map into a field; a Gaussian of `sigma_m` around each, the best of them counts.
 
@@ -57,6 +77,8 @@ def build_field(
         resolution_m: Side of a cell.
         sigma_m: Standard deviation of the blur.
         margin_m: Empty border around the points.
+        passed_map: (M, 2) m, the middles of squares through which rays passed, and
+        passed_edge_m: their edge, a multiple of `resolution_m`.
 
     Raises:
         ValueError: there are no points.
@@ -68,7 +90,10 @@ def build_field(
     origin = np.floor((least - margin_m) / resolution_m) * resolution_m
     cols, rows = (np.ceil((greatest + margin_m - origin) / resolution_m).astype(int) + 1).tolist()
     levels = np.zeros((LEVELS, rows, cols), dtype=np.float32)
-    kernels.blur(points, origin[0], origin[1], resolution_m, sigma_m, levels[0])
+    grid = (origin[0], origin[1], resolution_m)
+    kernels.blur(points, *grid, sigma_m, levels[0])
+    if passed_map is not None:
+        kernels.lower(np.ascontiguousarray(passed_map), *grid, passed_edge_m, NEAR_WALL, levels[0])
     kernels.raise_pyramid(levels)
     return Field(levels, resolution_m, origin)
 
@@ -92,6 +117,8 @@ class Window:
         least_rival: What the others must reach, if it is another score than the best place's.
         ground: (M, 2) where the origin of the points may lie, m, map frame: squares of the coarsest step in
             which there is none of it are not searched; None: anywhere.
+        costs: (3, 3) a quadratic form of the offset from the middle in x, y (m) and rotation (rad) that is
+            taken off the score of a place, and off its bound; None: all places are as likely.
     """
 
     def __init__(
@@ -108,6 +135,7 @@ class Window:
         least_share: float = 0.0,
         least_rival: float | None = None,
         ground: NDArray[np.float64] | None = None,
+        costs: NDArray[np.float64] | None = None,
     ) -> None:
         cloud = np.ascontiguousarray(points, dtype=np.float64)
         farthest = float(np.sqrt((cloud**2).sum(axis=1).max()))
@@ -118,7 +146,8 @@ class Window:
         self.places: list[Place] = []
         """What was found so far, the best first."""
         self._map = (field.levels, field.origin_m[0], field.origin_m[1], field.resolution_m)
-        self._window = (cloud, guess, turn, steps, cells)
+        form = np.zeros((3, 3)) if costs is None else np.ascontiguousarray(costs, dtype=np.float64)
+        self._window = (cloud, guess, turn, steps, cells, form)
         self._apart = (apart_m, apart_rad, _open_nodes(field, guess, cells, ground))
         self._most, self._least_share = most, least_share
         self._least_score = least_score

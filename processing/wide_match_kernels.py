@@ -26,6 +26,23 @@ def blur(points, x0, y0, resolution, sigma, field):
                     field[row, col] = value
 
 
+@njit("void(f8[:,::1], f8, f8, f8, f8, f4, f4[:,::1])", cache=True, nogil=True)
+def lower(squares, x0, y0, resolution, edge, most, field):
+    """Write -1 into the cells of `field` (rows, cols) under squares of an edge, but where it exceeds `most`.
+
+    `squares` (N, 2): their middles. The border is left as it is: what begins outside reaches over it.
+    """
+    rows, cols = field.shape
+    side = int(np.round(edge / resolution))
+    for i in range(squares.shape[0]):
+        col0 = int(np.round((squares[i, 0] - 0.5 * edge - x0) / resolution))
+        row0 = int(np.round((squares[i, 1] - 0.5 * edge - y0) / resolution))
+        for row in range(max(row0, 1), min(row0 + side, rows - 1)):
+            for col in range(max(col0, 1), min(col0 + side, cols - 1)):
+                if field[row, col] <= most:
+                    field[row, col] = -1.0
+
+
 @njit("void(f4[:,:,::1])", cache=True, nogil=True)
 def raise_pyramid(levels):
     """Fill levels 1.. from level 0: each the maximum of four shifted copies of the one below."""
@@ -78,6 +95,23 @@ def bound_at(levels, level, cells, shift_col, shift_row, least):
     return total / count
 
 
+@njit("f8(f8[:,::1], f8, f8, f8, i8, f8)", cache=True, nogil=True)
+def least_cost(costs, col, row, turn, level, resolution):
+    """Least of what an offset takes off, over a square of 2^level cells from the offset (col, row) on.
+
+    `costs` (3, 3): a quadratic form of the offset in x, y (m) and rotation (rad). Its root is a norm, so from
+    the middle of the square it falls by no more than its steepest slope allows.
+    """
+    wide = 0.5 * ((1 << level) - 1)
+    x, y = (col + wide) * resolution, (row + wide) * resolution
+    cost = costs[0, 0] * x * x + costs[1, 1] * y * y + costs[2, 2] * turn * turn
+    cost += 2.0 * (costs[0, 1] * x * y + (costs[0, 2] * x + costs[1, 2] * y) * turn)
+    mean, apart = 0.5 * (costs[0, 0] + costs[1, 1]), 0.5 * (costs[0, 0] - costs[1, 1])
+    steepest = mean + np.sqrt(apart * apart + costs[0, 1] * costs[0, 1])
+    root = np.sqrt(max(cost, 0.0)) - wide * resolution * np.sqrt(2.0 * steepest)
+    return root * root if root > 0.0 else 0.0
+
+
 @njit("b1(f8, f8, f8, f8[:,::1], f8, f8)", cache=True, nogil=True)
 def neighbours(x, y, yaw, places, apart_m, apart_rad):
     """Whether a pose belongs to the same place as one of others (M, 3)."""
@@ -103,7 +137,7 @@ def top_of(levels, reach):
 
 @njit(
     "b1(f4[:,:,::1], f8, f8, f8, f8[:,::1], f8[::1], f8, i8, i8,"
-    " f8[:,::1], f8, f8, u1[::1], f8[::1], i8[::1])",
+    " f8[:,::1], f8[:,::1], f8, f8, u1[::1], f8[::1], i8[::1])",
     cache=True,
     nogil=True,
 )
@@ -117,6 +151,7 @@ def branch_and_bound(
     turn,
     turns,
     reach,
+    costs,
     shunned,
     apart_m,
     apart_rad,
@@ -127,8 +162,8 @@ def branch_and_bound(
     """Go on with a search and return whether it is at its end.
 
     Rotations are walked from the guess outwards; for each, the translations are a tree of squares whose
-    bound is the pyramid. Places that neighbour one of `shunned` (M, 3) are passed over, and
-    squares of the coarsest step that are not open, see `top_of`.
+    bound is the pyramid, less what their offsets cost, see `least_cost`. Places that neighbour one of
+    `shunned` (M, 3) are passed over, and squares of the coarsest step that are not open, see `top_of`.
 
     `found` (x, y, yaw, score) begins with the score that must be passed and ends with the best of the window.
     `progress`: the rotation to go on with, the squares that may still be looked at, counted down; the search
@@ -153,7 +188,10 @@ def branch_and_bound(
             cells[i, 1] = int(np.floor((s * px + c * py + guess[1] - y0) / resolution))
         for node in range(across * across):
             col, row = -reach + side * (node % across), -reach + side * (node // across)
-            bounds[node] = bound_at(levels, top, cells, col, row, best) if open_nodes[node] else -1.0
+            bounds[node] = -1.0
+            if open_nodes[node]:
+                cost = least_cost(costs, col, row, yaw - guess[2], top, resolution)
+                bounds[node] = bound_at(levels, top, cells, col, row, best + cost) - cost
         progress[1] -= across * across
         while True:
             # The most promising first; few are looked at, so that they need not all be sorted.
@@ -170,7 +208,8 @@ def branch_and_bound(
             while depth > 0:
                 depth -= 1
                 col, row, level = stack[depth, 0], stack[depth, 1], stack[depth, 2]
-                score = bound_at(levels, level, cells, col, row, best)
+                cost = least_cost(costs, col, row, yaw - guess[2], level, resolution)
+                score = bound_at(levels, level, cells, col, row, best + cost) - cost
                 progress[1] -= 1
                 if score <= best:
                     continue

@@ -175,7 +175,7 @@ class DpSlam:
             return
         self.loops.conclude()
         if self.loops.way.places:
-            self.relive(self.loops.way.smoothed())
+            self.relive(self.loops.way.settled())
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Return the whole posterior as arrays; `from_state` goes on from it, bit for bit."""

@@ -23,6 +23,8 @@ GATE = 20.0
 """Chi-square of a closure against the drift beyond which it is another place that looks alike. On the way
 there the place must fit better and better, up to every point: of two explanations, a strange drift and a
 likeness of places, the score must rule one out."""
+ROUGH = np.diag((0.05**2, 0.05**2, 0.01**2))
+"""Covariance of a place that a search finds, beside that of the drift; m^2, rad^2."""
 FAR_M = 0.5
 """Drift (one sigma) from which neighbouring doors may be mistaken for each other."""
 APART_SIGMAS = 8.0
@@ -61,9 +63,14 @@ class Finding:
     way_m: float
     """Length of the way so far."""
 
+    @property
+    def off_by(self) -> Pose:
+        """(3,) where it was found, seen from where the path has it."""
+        return between(self.at, self.place)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Sighting:
+class Sighting:
     """A drift that was found: the path's axes on the map's."""
 
     way_m: float
@@ -71,8 +78,19 @@ class _Sighting:
     """(3,) map_t_path."""
 
     @classmethod
-    def of(cls, finding: Finding) -> "_Sighting":
+    def of(cls, finding: Finding) -> "Sighting":
+        """Return what a finding shows of it."""
         return cls(finding.way_m, compose(finding.place, between(finding.at, np.zeros(3))))
+
+    @classmethod
+    def of_row(cls, row: NDArray[np.float64]) -> "Sighting":
+        """Return the one whose `row` was taken."""
+        return cls(float(row[0]), row[1:].copy())
+
+    @property
+    def row(self) -> NDArray[np.float64]:
+        """(4,) everything."""
+        return np.array((self.way_m, *self.shift))
 
     def is_same(self, finding: Finding, tolerance: Pose) -> bool:
         """Whether a later finding shows the same drift, each of (3,) within the tolerance."""
@@ -89,8 +107,8 @@ class Judge:
 
     def forget(self) -> None:
         """Begin anew: the laser is known to be where the path has it, or nowhere."""
-        self._before: _Sighting | None = None
-        self._odd: _Sighting | None = None
+        self._before: Sighting | None = None
+        self._odd: Sighting | None = None
 
     @property
     def waits(self) -> bool:
@@ -101,10 +119,7 @@ class Judge:
         """Say whether the laser is where it was found."""
         c = self._config
         far = away_m(finding.drift) > FAR_M
-        off_by = between(finding.at, finding.place)
-        spread = finding.drift + np.diag((0.05**2, 0.05**2, 0.01**2))
-        strangeness = off_by @ np.linalg.solve(spread, off_by) / GATE
-        if finding.score < c.least_score + (1.0 - c.least_score) * strangeness:
+        if finding.score < c.least_score + (1.0 - c.least_score) * strangeness(finding):
             return finding.rival_ratio <= c.far_rival_ratio and self._persists(finding, settled)
         if finding.rival is not None and finding.rival_ratio > (c.far_rival_ratio if far else c.rival_ratio):
             here, there = _on_walls(finding, settled, finding.rival)
@@ -116,17 +131,15 @@ class Judge:
     def state(self) -> NDArray[np.float64]:
         """Return everything as an array (2, 4); `restore` takes it back."""
         kept = (self._before, self._odd)
-        return np.array([(np.nan,) * 4 if one is None else (one.way_m, *one.shift) for one in kept])
+        return np.array([(np.nan,) * 4 if one is None else one.row for one in kept])
 
     def restore(self, state: NDArray[np.float64]) -> None:
         """Become the judge whose `state` was taken."""
-        self._before, self._odd = (
-            None if np.isnan(row[0]) else _Sighting(float(row[0]), row[1:].copy()) for row in state
-        )
+        self._before, self._odd = (None if np.isnan(row[0]) else Sighting.of_row(row) for row in state)
 
     def _is_confirmed(self, finding: Finding) -> bool:
         """Whether the finding before showed the same drift."""
-        before, self._before = self._before, _Sighting.of(finding)
+        before, self._before = self._before, Sighting.of(finding)
         # A search through a wide window takes its time: the next one begins some metres farther on.
         recent = before is not None and finding.way_m - before.way_m < self._config.most_query_m
         return before is not None and recent and before.is_same(finding, SAME)
@@ -140,8 +153,13 @@ class Judge:
         if not _is_more(*_on_walls(finding, settled, finding.at)):
             return False
         if self._odd is None or not self._odd.is_same(finding, STILL_SAME):
-            self._odd = _Sighting.of(finding)
+            self._odd = Sighting.of(finding)
         return finding.way_m - self._odd.way_m > PERSISTENT_M
+
+
+def strangeness(finding: Finding) -> float:
+    """Return the chi-square of a drift, in units of the gate."""
+    return float(finding.off_by @ np.linalg.solve(finding.drift + ROUGH, finding.off_by) / GATE)
 
 
 def away_m(drift: Matrix) -> float:

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from processing.dpslam.closing import FIELD_CELL_M, Closing, Question
 from processing.dpslam.drift import drift_of
-from processing.dpslam.judging import FITTING, Finding, Judge, away_m
+from processing.dpslam.judging import FITTING, ROUGH, Finding, Judge, away_m
 from processing.dpslam.loop_config import LoopConfig
 from processing.dpslam.old_ground import OldGround
+from processing.dpslam.part_judge import PartJudge
 from processing.dpslam.places import DOUBT
 from processing.dpslam.proposal import WIDE_M
 from processing.dpslam.thinning import picked, thinned
-from processing.dpslam.way import Way, in_map
+from processing.dpslam.way import NO_POINTS, POINT_GAIN, Way, in_map
 from processing.ndt import Points
 from processing.observability import view
 from processing.se2 import Pose, between
@@ -37,6 +38,9 @@ UNSEEN_M = 1.5 * WIDE_M
 """Deviation of the motion between key scans from which the odometry did not see: half as much again as that
 up to which one that it saw is doubted."""
 QUERY_POINTS = 400
+LEAST_PART = 0.08
+"""Share of the points that must lie on walls, less those that lie where rays have passed, for a place to be
+found at all on partly known ground."""
 PAST = 20
 """Settled key scans without which there is nothing to come back to."""
 
@@ -53,7 +57,7 @@ class Loops:
         self._old = OldGround(self.way, config)
         self._misses = 0
         self._tried_m = 0.0
-        self._judge = Judge(config)
+        self._judge, self._part_judge = Judge(config), PartJudge(config)
         self._closing: Closing | None = None
 
     def step(self, motion: Pose, covariance: Matrix, points: Points, path: Pose) -> Pose | None:
@@ -114,6 +118,7 @@ class Loops:
             "flags": np.array((self.linked, self.closures, self._old.keys, self._misses)),
             "tried_m": np.array(self._tried_m),
             "judge": self._judge.state(),
+            "part_judge": self._part_judge.state(),
             **{f"map.{name}": part for name, part in self._old.map.state().items()},
             **{f"closing.{name}": part for name, part in closing.items()},
         }
@@ -125,6 +130,7 @@ class Loops:
         self.linked = bool(linked)
         self._tried_m = float(state["tried_m"])
         self._judge.restore(state["judge"])
+        self._part_judge.restore(state["part_judge"])
         self._old.map.restore({name[4:]: part for name, part in state.items() if name.startswith("map.")})
         closing = {name[8:]: part for name, part in state.items() if name.startswith("closing.")}
         self._closing = Closing.from_state(closing) if closing else None
@@ -156,7 +162,7 @@ class Loops:
                 self._misses = 0
         if self._misses > PATIENCE:
             self.linked = False
-            self._judge.forget()
+            self._forget_findings()
 
     def _honest(self, information: Matrix, yaw_rad: float) -> Matrix:
         """Return what the map tells of the newest key scan (3, 3), map axes, without what it cannot know.
@@ -172,11 +178,21 @@ class Loops:
         return np.asarray(seen @ information @ seen)
 
     def _due(self) -> bool:
-        every = self.config.try_every_m * (0.5 if self._judge.waits else 1.0)
+        waits = self._judge.waits or self._part_judge.waits
+        every = self.config.try_every_m * (0.5 if waits else 1.0)
         return bool(self.way.lengths_m[-1] - self._tried_m > every)
 
-    def _ask(self) -> Closing | None:
-        """Begin to search the last metres in the settled map, if it has anything where they may lie."""
+    def _forget_findings(self) -> None:
+        self._judge.forget()
+        self._part_judge.forget()
+
+    def _ask(self, partly: bool = False) -> Closing | None:
+        """Begin to search the last metres in the settled map, if it has anything where they may lie.
+
+        Args:
+            partly: Whether points that lie where it knows nothing say nothing, in place of speaking against.
+                What is left may fit anywhere, so that likely drifts go first.
+        """
         way, c = self.way, self.config
         self._tried_m = way.lengths_m[-1]
         drift, at = self._old.drift(), way.path[-1]
@@ -188,8 +204,20 @@ class Loops:
         query = picked(way.since(self._first_asked()), QUERY_POINTS)
         if len(cloud) < 100 or len(query) < 50:
             return None
-        cloud = thinned(cloud, FIELD_CELL_M)
-        return Closing(Question(cloud, query, at, len(way.path) - 1, reach_m, reach_rad, c.least_score))
+        known = np.asarray(np.linalg.inv(in_map(drift + ROUGH, at[2])), np.float64)
+        return Closing(
+            Question(
+                cloud=thinned(cloud, FIELD_CELL_M),
+                passed=self._old.passed(at, reach_m) if partly else NO_POINTS,
+                points=query,
+                map_t_laser=at,
+                key=len(way.path) - 1,
+                reach_m=reach_m,
+                reach_rad=reach_rad,
+                costs=known / (2.0 * POINT_GAIN * len(query)) if partly else np.zeros((3, 3)),
+                least_score=LEAST_PART if partly else c.least_score,
+            )
+        )
 
     def _close(self, closing: Closing) -> Pose | None:
         """Take what a search found; where it is one place and no other, smooth the path."""
@@ -198,6 +226,8 @@ class Loops:
         recent = way.since(first)
         place = self._judged(closing, recent)
         if place is None:
+            if closing.found() is None and not closing.question.partly:
+                self._closing = self._ask(partly=True)
             return None
         query = picked(recent, QUERY_POINTS)
         hold = np.diag((1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.05**2))
@@ -206,7 +236,8 @@ class Loops:
             return None
         if self._old.is_behind_walls(fit.map_t_points, first):
             return None
-        share = len(way.points[-1]) / len(query)
+        # As much as one scan tells; the newest may be one of those of which nothing was kept.
+        share = float(np.mean([len(points) for points in way.points[first:] if len(points)])) / len(query)
         near = self._old.witness(query, fit.map_t_points)
         if near is None:
             return None
@@ -214,7 +245,7 @@ class Loops:
         way.drift.close(near, way.path, known)
         self.closures += 1
         self.linked, self._misses = True, 0
-        self._judge.forget()
+        self._forget_findings()
         way.path = way.smoothed()
         self._old.redraw()
         return way.path.copy()
@@ -238,7 +269,11 @@ class Loops:
             points=recent,
             way_m=float(way.lengths_m[-1]),
         )
-        return finding.place if self._judge.believes(finding, self._old.map) else None
+        if closing.question.partly:
+            query = picked(recent, QUERY_POINTS)
+            here, there = (closing.fits(query, at) for at in (finding.place, finding.at))
+            return place if self._part_judge.believes(finding, here, there) else None
+        return place if self._judge.believes(finding, self._old.map) else None
 
     def away_m(self) -> float:
         """How far the path may be off from what was mapped around, in the worst direction, one sigma."""

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from processing.dpslam.judging import FITTING, away_m
 from processing.dpslam.loop_config import LoopConfig
 from processing.dpslam.settled import SettledMap
+from processing.dpslam.settled_kernels import look_through
 from processing.dpslam.way import Way
 from processing.ndt import Points
 from processing.se2 import Pose, between, compose, transform
@@ -18,6 +19,17 @@ MOVED_M, MOVED_RAD = 0.01, 0.003
 """A path that has moved by more needs its map anew."""
 SIGHT_M = 3.0
 """So far beyond where the laser may be something of what it sees is looked for."""
+PASSED_M = 0.1
+"""Edge of the squares through which rays passed."""
+PASSES = 2
+"""So many rays make it known: one alone may have been a chance."""
+PASSED_SHORT_M = 0.2
+"""No ray tells anything of the last bit before its end: it is as wide as that far away, or runs along a
+wall."""
+PASSED_MOST_M = 8.0
+"""Nor of what is farther away, where neighbouring rays lie squares apart and the pose's error tells."""
+MOST_LOOKS = 200
+"""Key scans whose rays are asked, at most, evenly."""
 
 
 class OldGround:
@@ -116,6 +128,26 @@ class OldGround:
         near = np.flatnonzero(off_m < reach_m + self._config.reach_m)
         points = np.vstack([transform(self._way.path[k], self._way.points[k]) for k in near])
         return points[(np.abs(points - at[:2]) < reach_m + self._config.reach_m + 5.0).all(axis=1)]
+
+    def passed(self, at: Pose, reach_m: float) -> Points:
+        """Return the middles (N, 2) m, map frame, of the squares of edge PASSED_M that were looked through.
+
+        Args:
+            at: (3,) the pose around which `cloud` is asked,
+            reach_m: and how far off.
+        """
+        near = np.flatnonzero(self._off_m(at) < reach_m + self._config.reach_m)
+        half_m = reach_m + self._config.reach_m + 5.0
+        origin = np.floor((at[:2] - half_m) / PASSED_M) * PASSED_M
+        side = int(2.0 * half_m / PASSED_M) + 2
+        passed = np.zeros((side, side), np.uint8)
+        for k in near[:: -(-len(near) // MOST_LOOKS)]:
+            pose = self._way.path[k]
+            ends = np.ascontiguousarray(transform(pose, self._way.points[k][::2]))
+            rule = (PASSED_M, PASSED_SHORT_M, PASSED_MOST_M)
+            look_through(np.ascontiguousarray(pose[:2]), ends, origin, *rule, passed)
+        rows, cols = np.nonzero(passed >= PASSES)
+        return np.asarray(origin + (np.column_stack((cols, rows)) + 0.5) * PASSED_M)
 
     def _off_m(self, at: Pose) -> NDArray[np.float64]:
         path = self.path

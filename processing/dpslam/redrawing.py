@@ -11,6 +11,7 @@ from processing.dpslam.drift import Drift
 from processing.dpslam.filter import DpSlam
 from processing.dpslam.judging import Judge
 from processing.dpslam.memory import KeyScans
+from processing.dpslam.part_judge import PartJudge
 from processing.dpslam.past import Floats, Past
 from processing.dpslam.population import ARRIVAL, Population
 from processing.dpslam.settled import SettledMap
@@ -112,6 +113,7 @@ def _loops(past: Past, config: DpSlamConfig) -> dict[str, NDArray[Any]]:
         "flags": np.array((True, 0, settled, 0)),
         "tried_m": np.array(way_m[-1]),
         "judge": Judge(config.loops).state(),
+        "part_judge": PartJudge(config.loops).state(),
         **{f"map.{name}": part for name, part in drawn.state().items()},
     }
 

@@ -156,3 +156,22 @@ def look_away(points, pose, origin, slots, sums, normals, views, least_m, least_
                     if not block_is_away(r, c, x, y, slots, sums, normals, views, least_m, least_slant):
                         facing += 1
         away[k] = known > 0 and facing == 0
+
+
+@njit("void(f8[::1], f8[:,::1], f8[::1], f8, f8, f8, u1[:,::1])", cache=True, nogil=True)
+def look_through(laser, ends, origin, cell_m, short_m, most_m, passed):
+    """Count up to 255 how often rays from `laser` (2,) to `ends` (N, 2) pass each cell (rows, cols), all m.
+
+    A ray counts up to `short_m` before its end, a beam being wider than its axis, and no farther than
+    `most_m`. It is looked at once each `cell_m` of its length.
+    """
+    rows, cols = passed.shape
+    for i in range(ends.shape[0]):
+        dx, dy = ends[i, 0] - laser[0], ends[i, 1] - laser[1]
+        length_m = np.hypot(dx, dy)
+        for k in range(int((min(length_m, most_m) - short_m) / cell_m)):
+            along = k * cell_m / length_m
+            col = int(np.floor((laser[0] + along * dx - origin[0]) / cell_m))
+            row = int(np.floor((laser[1] + along * dy - origin[1]) / cell_m))
+            if 0 <= row < rows and 0 <= col < cols and passed[row, col] < 255:
+                passed[row, col] += 1

@@ -14,7 +14,7 @@ from processing.dpslam.places import Places
 from processing.dpslam.thinning import thinned
 from processing.growing import Growing
 from processing.ndt import Points
-from processing.se2 import Pose, between, transform
+from processing.se2 import Pose, between, compose, transform
 from processing.smoothing import Relations, smooth
 
 Matrix = NDArray[np.float64]
@@ -91,6 +91,16 @@ class Way:
     def smoothed(self) -> Pose:
         """Return the path (K, 3) that satisfies all relations best."""
         return smooth(self.path, self._relations()).poses if len(self.path) > 1 else self.path.copy()
+
+    def settled(self) -> Pose:
+        """Return the path (K, 3) that satisfies all relations best; past the last of them it keeps its shape.
+
+        There nothing is told but the motions, and the particles have done better: on their own maps.
+        """
+        last = int(self.places.ends.rows[:, 1].max())
+        path = self.smoothed()
+        path[last + 1 :] = compose(path[last], between(self.path[last], self.path[last + 1 :]))
+        return path
 
     def since(self, first: int) -> Points:
         """Gather the points of the key scans from one on, evenly, in the newest laser frame (N, 2)."""

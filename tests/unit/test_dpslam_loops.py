@@ -8,20 +8,21 @@ import pytest
 from drivers.world import Building, outline
 from drivers.world.drive import simulate_scans
 from drivers.world.generators import corridor, square_of_corridors
-from drivers.world.laser import Sick, bearings
+from drivers.world.laser import Sick, Urg04lx, bearings
+from processing.dpslam import loops as loops_module
 from processing.dpslam import old_ground
 from processing.dpslam.loop_config import LoopConfig
 from processing.dpslam.loops import Loops
-from processing.dpslam.old_ground import OldGround
+from processing.dpslam.old_ground import PASSED_M, PASSED_MOST_M, PASSED_SHORT_M, OldGround
 from processing.dpslam.way import Way
 from processing.se2 import between, compose, invert, transform
 
 KEY_M, KEY_RAD = 0.3, 0.25
 
 
-def key_scans(building, route=None, laps=1, max_scans=None, seed=1):
+def key_scans(building, route=None, laps=1, max_scans=None, seed=1, laser=None):
     """Points of every key scan (every other ray), and its true pose."""
-    laser = Sick()
+    laser = Sick() if laser is None else laser
     directions = bearings(laser)[::2]
     last, keys = None, []
     drive = simulate_scans(
@@ -133,11 +134,44 @@ def test_restored_goes_on_as_if_never_interrupted(round_the_block, cut):
     assert again.closures == whole.closures
 
 
-def test_restored_amid_a_search_goes_on_with_it(round_the_block):
-    motions = drifting(round_the_block, 0.001, 0.004)
-    whole, _ = follow(round_the_block, motions)
+@pytest.fixture(scope="module")
+def lanes():
+    """Key scans of a laser that sees four metres, there and back along screens seen from both lanes."""
+    rng = np.random.default_rng(0)
+    x = np.cumsum(rng.uniform(1.0, 2.6, 13))
+    low_m, slant_m = rng.uniform(3.7, 4.0, 13), rng.uniform(-0.5, 0.5, 13)
+    screens = np.column_stack((x, low_m, x + slant_m, rng.uniform(6.5, 6.8, 13)))
+    hall = Building(np.vstack((outline([(0.0, 0.0, 26.0, 10.5)]), screens)))
+    route = np.array(((3.0, 3.0), (20.0, 3.0), (20.0, 7.5), (3.0, 7.5)))
+    keys = key_scans(hall, route, seed=2, laser=Urg04lx())
+    return [(points[np.hypot(*points.T) < 4.0], truth) for points, truth in keys]
+
+
+@pytest.mark.parametrize("partly", [True, False])
+def test_a_drift_is_found_where_only_a_part_of_the_ground_is_known(lanes, monkeypatch, partly):
+    if not partly:
+        monkeypatch.setattr(loops_module, "LEAST_PART", 1.0)
+    loops, alone = follow(lanes, drifting(lanes, 0.004, 0.005))
+    assert worst(alone, lanes) > 1.5
+    assert loops.closures == partly
+    assert loops.linked == partly
+    if partly:
+        assert worst(loops.way.settled(), lanes) < 0.75
+
+
+def test_a_path_that_is_right_stays_where_a_part_of_the_ground_is_known(lanes):
+    loops, alone = follow(lanes, drifting(lanes, 0.0, 0.0))
+    assert worst(alone, lanes) < 0.1
+    assert worst(loops.way.path, lanes) < 0.1
+
+
+@pytest.mark.parametrize("course", ["round_the_block", "lanes"])
+def test_restored_amid_a_search_goes_on_with_it(course, request):
+    keys = request.getfixturevalue(course)
+    motions = drifting(keys, *((0.001, 0.004) if course == "round_the_block" else (0.004, 0.005)))
+    whole, _ = follow(keys, motions)
     again, amid = Loops(LoopConfig()), 0
-    for k, (points, _) in enumerate(round_the_block):
+    for k, (points, _) in enumerate(keys):
         new = np.zeros(3) if k == 0 else compose(again.way.path[-1], motions[k])
         again.step(motions[k], np.zeros((3, 3)), points, np.vstack((again.way.path, new)))
         written = again.state()
@@ -147,6 +181,7 @@ def test_restored_amid_a_search_goes_on_with_it(round_the_block):
             again.restore(written)
     assert amid > 10
     assert again.closures == whole.closures
+    assert again.closures > 0
     np.testing.assert_array_equal(again.way.path, whole.way.path)
 
 
@@ -217,6 +252,31 @@ def test_in_a_corridor_old_ground_holds_along_only_what_the_odometry_saw(along_m
     assert (deviations[:, 1] < 0.03).all()
 
 
+def test_a_square_is_passed_where_two_rays_went_through():
+    way = Way()
+    ground = OldGround(way, LoopConfig())
+    rng = np.random.default_rng(3)
+    for k in range(6):
+        at = (0.4 * k - 1.0, 0.1 * k, 0.3 * k)
+        way.go_on(np.array((0.4, 0.0, 0.0)), np.eye(3), rng.uniform(-9.0, 9.0, (31, 2)))
+        way.path = np.vstack((way.path, at))
+    ground.keys = 5
+    here, reach_m = np.array((0.5, 0.0, 0.0)), 1.0
+    counts = {}
+    for k in range(5):
+        for end in transform(way.path[k], way.points[k][::2]):
+            ray = end - way.path[k, :2]
+            length_m = float(np.hypot(*ray))
+            for step in range(int((min(length_m, PASSED_MOST_M) - PASSED_SHORT_M) / PASSED_M)):
+                at = way.path[k, :2] + step * PASSED_M / length_m * ray
+                square = tuple(np.floor(at / PASSED_M).astype(int).tolist())
+                counts[square] = counts.get(square, 0) + 1
+    expected = sorted(square for square, count in counts.items() if count >= 2)
+    passed = np.floor(ground.passed(here, reach_m) / PASSED_M).astype(int)
+    assert len(expected) > 100
+    assert sorted(map(tuple, passed.tolist())) == expected
+
+
 @pytest.mark.parametrize(("name", "value"), [("reach_m", 0.0), ("least_score", 1.5), ("rival_ratio", 0.0)])
 def test_a_setting_out_of_its_range_is_refused(name, value):
     with pytest.raises(ValueError, match=name):
@@ -241,6 +301,21 @@ def test_a_place_is_tied_to_who_saw_its_walls_and_not_to_who_stood_nearest():
     assert ground.witness(between_points(here, wall), here) == 19
     assert ground.witness(between_points(here, elsewhere), here) == 20
     assert ground.witness(between_points(here, wall + 50.0), here) is None
+
+
+def test_past_the_last_relation_the_path_keeps_the_shape_that_the_particles_gave_it():
+    way = Way()
+    for k in range(10):
+        way.go_on(np.array((1.0, 0.0, 0.0)), np.diag((1e-2, 1e-2, 1e-3)), np.zeros((0, 2)))
+        # The particles have the second half turned; the motions say straight on.
+        here = (1.0 * k, 0.0, 0.0) if k <= 5 else (5.0, 1.0 * (k - 5), np.pi / 2)
+        way.path = np.vstack((way.path, here))
+        if k == 5:
+            way.relate(0, np.array((4.8, 0.3, 0.0)), 1e4 * np.eye(3), 0.0)
+    before, settled = way.path, way.settled()
+    assert np.abs(settled[5] - (4.8, 0.3, 0.0)).max() < 0.01
+    np.testing.assert_allclose(settled[:6], way.smoothed()[:6])
+    np.testing.assert_allclose(between(settled[5], settled[5:]), between(before[5], before[5:]), atol=1e-12)
 
 
 def between_points(map_t_laser, points_map):

@@ -89,6 +89,8 @@ TWINS = {
     },
     "wide_match_kernels": {
         "blur": "unit/test_kernels.py::test_a_blurred_cell_is_the_bell_of_the_nearest_point",
+        "lower": "unit/test_wide_match.py::test_rays_lower_what_they_passed_but_no_wall",
+        "least_cost": "unit/test_wide_match.py::test_no_cell_of_a_square_costs_less_than_the_square",
         "raise_pyramid": "unit/test_wide_match.py::test_every_level_bounds_the_cells_under_it",
         "": "unit/test_wide_match.py::test_the_best_of_the_window_equals_the_best_of_every_cell",
     },
@@ -103,6 +105,7 @@ TWINS = {
         "note_views": SIDES,
         "block_is_away": SIDES,
         "look_away": SIDES,
+        "look_through": "unit/test_dpslam_loops.py::test_a_square_is_passed_where_two_rays_went_through",
         "": SETTLED,
     },
     "dpslam.writing": {"": DPSLAM},

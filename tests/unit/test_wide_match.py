@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from processing.se2 import compose, invert, transform
-from processing.wide_match import LEVELS, Window, build_field
+from processing.wide_match import LEVELS, NEAR_WALL, Window, build_field
+from processing.wide_match_kernels import least_cost
 
 
 def search(*window, **settings):
@@ -27,6 +28,7 @@ ROOM = walls(*itertools.pairwise(CORNERS), ((6, 2), (7, 3)))
 
 
 UP = np.array((0.0, 12.0))
+HERE = np.array((0.3, -0.2, 0.7))
 
 
 def all_places(*window, **settings):
@@ -80,12 +82,18 @@ def test_a_rival_may_be_asked_for_less_than_the_best():
     assert search(field, *window, 0.999, least_rival=0.3) is None
 
 
-def test_the_best_of_the_window_equals_the_best_of_every_cell():
+COSTS = np.array(((0.5, 0.2, -0.1), (0.2, 0.3, 0.1), (-0.1, 0.1, 2.0)))
+
+
+@pytest.mark.parametrize("costs", [None, COSTS])
+@pytest.mark.parametrize("passed", [False, True])
+def test_the_best_of_the_window_equals_the_best_of_every_cell(costs, passed):
     rng = np.random.default_rng(4)
-    field = build_field(rng.uniform(0, 4, (60, 2)), 0.1, 0.15, 0.3)
+    squares = np.floor(rng.uniform(-0.4, 4.4, (200, 2)) / 0.2) * 0.2 + 0.1
+    field = build_field(rng.uniform(0, 4, (60, 2)), 0.1, 0.15, 0.3, *((squares, 0.2) if passed else ()))
     points = rng.uniform(-1.5, 1.5, (40, 2))
     guess = np.array((2.0, 2.0, 0.4))
-    found = search(field, points, guess, 1.0, 0.3, 0.0)
+    found = search(field, points, guess, 1.0, 0.3, 0.0, costs=costs)
     turn = 0.1 / max(float(np.linalg.norm(points, axis=1).max()), 1.0)
     best = 0.0
     for k in range(-int(np.ceil(0.3 / turn)), int(np.ceil(0.3 / turn)) + 1):
@@ -95,7 +103,9 @@ def test_the_best_of_the_window_equals_the_best_of_every_cell():
             for col in range(-10, 11):
                 at = cells + np.array((col, row))
                 inside = (at >= 0).all(axis=1) & (at < field.levels.shape[:0:-1]).all(axis=1)
-                best = max(best, field.levels[0][at[inside, 1], at[inside, 0]].sum() / len(points))
+                off = np.array((0.1 * col, 0.1 * row, k * turn))
+                cost = 0.0 if costs is None else off @ costs @ off
+                best = max(best, field.levels[0][at[inside, 1], at[inside, 0]].sum() / len(points) - cost)
     assert found is not None
     assert found.best.score == pytest.approx(best, abs=1e-6)
 
@@ -107,6 +117,54 @@ def test_every_level_bounds_the_cells_under_it():
         row, col = 12, 31
         window = field.levels[0][row : row + side, col : col + side]
         assert field.levels[level][row, col] == window.max()
+
+
+@pytest.mark.parametrize("level", range(LEVELS))
+def test_no_cell_of_a_square_costs_less_than_the_square(level):
+    side, least = 2**level, []
+    for col, row in ((-40, 3), (-side // 2, -side // 2), (0, 0), (6 * side, -8 * side)):
+        offsets = [(0.1 * (col + i), 0.1 * (row + j), 0.2) for i in range(side) for j in range(side)]
+        cheapest = min(np.array(off) @ COSTS @ np.array(off) for off in offsets)
+        least.append((least_cost(COSTS, col, row, 0.2, level, 0.1), cheapest))
+    below, cheapest = np.array(least).T
+    assert (below <= cheapest + 1e-12).all()
+    # A bound of nothing would be one, too.
+    assert below.max() > 0.5 * cheapest[below.argmax()]
+    if level == 0:
+        np.testing.assert_allclose(below, cheapest)
+
+
+def test_rays_lower_what_they_passed_but_no_wall():
+    wall = walls(((0.0, 0.0), (3.0, 0.0)))
+    squares = np.array([(x, y) for x in np.arange(0.1, 3.0, 0.2) for y in (-0.9, 0.1, 0.9)])
+    plain, field = (build_field(wall, 0.1, 0.1, 1.0, *passed) for passed in ((), (squares, 0.2)))
+    lowered = np.zeros(field.levels[0].shape, bool)
+    rows, cols = lowered.shape
+    for row in range(1, rows - 1):
+        for col in range(1, cols - 1):
+            middle = field.origin_m + (np.array((col, row)) + 0.5) * 0.1
+            passed = (np.abs(squares - middle) < 0.1).all(axis=1).any()
+            lowered[row, col] = passed and plain.levels[0][row, col] <= NEAR_WALL
+    assert lowered.sum() > 50
+    np.testing.assert_array_equal(field.levels[0], np.where(lowered, np.float32(-1.0), plain.levels[0]))
+    there = np.array(((0.55, 0.01), (0.55, 0.95), (0.55, 0.55), (50.0, 0.0)))
+    fits = field.at(transform(invert(HERE), there), HERE)
+    assert fits[0] > 0.8
+    np.testing.assert_array_equal(fits[1:], (-1.0, 0.0, 0.0))
+
+
+def test_of_two_places_as_good_the_likelier_is_the_best():
+    there, elsewhere = np.array((1.0, 0.0, 0.0)), np.array((-1.0, 0.0, 0.0))
+    comb = walls(*(((x, -2.0), (x, 2.0)) for x in (-3.0, -1.0, 1.0, 3.0)), ((-3.0, 0.0), (3.0, 0.0)))
+    part = walls(((0.0, -1.0), (0.0, 1.0)), ((-0.5, 0.0), (0.5, 0.0)))
+    field = build_field(comb, 0.05, 0.08, 0.5)
+    for likely, other in ((there, elsewhere), (elsewhere, there)):
+        off = np.array((0.3 * np.sign(likely[0]), 0.0, 0.0))
+        found = search(field, part, off, 1.5, 0.2, 0.3, costs=np.diag((0.1, 0.1, 1.0)))
+        assert found is not None
+        assert np.abs(found.best.map_t_points - likely).max() < 0.06
+        assert np.abs(found.rival.map_t_points - other).max() < 0.06
+        assert found.best.score - found.rival.score == pytest.approx(0.1 * (1.3**2 - 0.7**2), abs=0.05)
 
 
 def test_nothing_is_found_where_nothing_fits():
