@@ -146,6 +146,10 @@ def default_folder(log: Path, results: Path = Path("results")) -> Path:
 def check_free(folder: Path) -> None:
     """Refuse a results folder that is something else, before any work is done; raises ConfigError."""
     if folder.is_dir():
+        if folder.is_mount() or Path.cwd().is_relative_to(folder.resolve()):
+            # It is replaced in one step: who stands in it would stand nowhere, and a disk cannot be moved.
+            inside = folder / "map"
+            raise ConfigError(f"{folder}: is where you are, or a disk; choose a folder in it, {inside}")
         if any(folder.iterdir()) and not (folder / RUN_FILE).is_file():
             raise ConfigError(f"{folder}: holds other files and no {RUN_FILE}; choose another folder")
     elif folder.exists():

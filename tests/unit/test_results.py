@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -87,6 +88,16 @@ def test_a_file_of_that_name_is_refused_before_any_work(tmp_path):
     (tmp_path / "run").write_text("")
     with pytest.raises(ConfigError, match="run: is a file"):
         check_free(tmp_path / "run")
+
+
+@pytest.mark.parametrize("folder", [".", "..", "../here", "/proc"])
+def test_the_folder_where_one_stands_and_a_disk_are_refused_before_any_work(tmp_path, monkeypatch, folder):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    with pytest.raises(ConfigError, match=r"choose a folder in it, \S*map"):
+        check_free(Path(folder))
+    check_free(Path("map"))
+    check_free(Path("../there"))
 
 
 def test_a_parent_that_is_a_file_is_refused_before_any_work(tmp_path):
