@@ -7,6 +7,7 @@ of points are searched in that window of the settled map, wholly (`closing`); wh
 once, the path is smoothed under all its relations (`way`), and the maps are drawn anew along it.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from processing.dpslam.drift import drift_of
 from processing.dpslam.judging import FITTING, ROUGH, Finding, Judge, away_m
 from processing.dpslam.loop_config import LoopConfig
 from processing.dpslam.old_ground import OldGround
-from processing.dpslam.part_judge import PartJudge
+from processing.dpslam.part_judge import PartJudge, disputed
 from processing.dpslam.places import DOUBT
 from processing.dpslam.proposal import WIDE_M
 from processing.dpslam.thinning import picked, thinned
@@ -171,11 +172,8 @@ class Loops:
         neither the map nor the odometry sees; few points on a wall at right angles are rough but true.
         """
         moved = in_map(self.way.drift.steps.rows[-1], yaw_rad)[:2, :2]
-        seen = np.eye(3)
-        for direction in view(information).unseen:
-            if direction @ moved @ direction > UNSEEN_M**2:
-                seen[:2, :2] -= np.outer(direction, direction)
-        return np.asarray(seen @ information @ seen)
+        unseen = view(information).unseen
+        return _blinded(information, [one for one in unseen if one @ moved @ one > UNSEEN_M**2])
 
     def _due(self) -> bool:
         waits = self._judge.waits or self._part_judge.waits
@@ -224,15 +222,15 @@ class Loops:
         self._closing = None
         way, first = self.way, self._first_asked()
         recent = way.since(first)
-        place = self._judged(closing, recent)
-        if place is None:
+        found = self._judged(closing, recent)
+        if found is None:
             if closing.found() is None and not closing.question.partly:
                 self._closing = self._ask(partly=True)
             return None
         query = picked(recent, QUERY_POINTS)
         hold = np.diag((1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.05**2))
-        fit = self._old.map.refine(query, place, hold)
-        if (np.abs(between(place, fit.map_t_points)) > MOST_CORRECTION).any():
+        fit = self._old.map.refine(query, found.place, hold)
+        if (np.abs(between(found.place, fit.map_t_points)) > MOST_CORRECTION).any():
             return None
         if self._old.is_behind_walls(fit.map_t_points, first):
             return None
@@ -241,16 +239,19 @@ class Loops:
         near = self._old.witness(query, fit.map_t_points)
         if near is None:
             return None
-        known = way.relate(near, fit.map_t_points, share * fit.information, 0.0)
+        unknown = disputed(found, self.config) if closing.question.partly else None
+        told = fit.information if unknown is None else _blinded(fit.information, [unknown])
+        known = way.relate(near, fit.map_t_points, share * told, 0.0)
         way.drift.close(near, way.path, known)
         self.closures += 1
-        self.linked, self._misses = True, 0
+        if unknown is None:
+            self.linked, self._misses = True, 0
         self._forget_findings()
         way.path = way.smoothed()
         self._old.redraw()
         return way.path.copy()
 
-    def _judged(self, closing: Closing, recent: Points) -> Pose | None:
+    def _judged(self, closing: Closing, recent: Points) -> Finding | None:
         """Return where the newest key scan is on the settled map, if the last metres (N, 2) believe it."""
         found, way = closing.found(), self.way
         if found is None:
@@ -272,8 +273,8 @@ class Loops:
         if closing.question.partly:
             query = picked(recent, QUERY_POINTS)
             here, there = (closing.fits(query, at) for at in (finding.place, finding.at))
-            return place if self._part_judge.believes(finding, here, there) else None
-        return place if self._judge.believes(finding, self._old.map) else None
+            return finding if self._part_judge.believes(finding, here, there) else None
+        return finding if self._judge.believes(finding, self._old.map) else None
 
     def away_m(self) -> float:
         """How far the path may be off from what was mapped around, in the worst direction, one sigma."""
@@ -284,3 +285,11 @@ class Loops:
         c, lengths_m = self.config, self.way.lengths_m
         length_m = min(max(c.query_m, 6.0 * self.away_m()), c.most_query_m)
         return int(np.searchsorted(lengths_m, lengths_m[-1] - length_m))
+
+
+def _blinded(information: Matrix, directions: Iterable[NDArray[np.float64]]) -> Matrix:
+    """Return the information (3, 3) without what it tells along directions, (2,) unit vectors."""
+    seen = np.eye(3)
+    for direction in directions:
+        seen[:2, :2] -= np.outer(direction, direction)
+    return np.asarray(seen @ information @ seen)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from processing.dpslam.judging import FITTING, SAME, Finding, Sighting, strangeness
 from processing.dpslam.loop_config import LoopConfig
+from processing.se2 import between
 
 Fits = NDArray[np.float64]
 
@@ -38,6 +39,20 @@ TIMES = 3
 """So often the same drift must be found, over half of the least way that is asked for,"""
 KEPT_M = 6.0
 """and within that way."""
+
+
+def disputed(finding: Finding, config: LoopConfig) -> NDArray[np.float64] | None:
+    """Return the direction in which a place is not known, (2,) unit vector, map frame; None if there is none.
+
+    A rival that is as good lies along a corridor, most often; of the place across it and of the heading both
+    say the same. A path that has drifted across gets rid of that at once, and not only at the next corner.
+    """
+    if finding.rival is None or finding.rival_ratio < config.far_rival_ratio:
+        return None
+    if abs(between(finding.place, finding.rival)[2]) > SAME[2]:
+        return None
+    way = finding.rival[:2] - finding.place[:2]
+    return np.asarray(way / np.hypot(*way))
 
 
 class PartJudge:
@@ -87,7 +102,7 @@ class PartJudge:
         likely = strangeness(finding) < LIKELY
         if not likely or fitting < LEAST_FITTING or fitting <= FOR_ONE_AGAINST * against:
             return False
-        if finding.rival_ratio >= self._config.far_rival_ratio:
+        if finding.rival_ratio >= self._config.far_rival_ratio and disputed(finding, self._config) is None:
             return False
         better, worse = np.count_nonzero(here > there + 0.5), np.count_nonzero(there > here + 0.5)
         refuted = np.count_nonzero(there < PASSED)

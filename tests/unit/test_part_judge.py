@@ -5,7 +5,7 @@ import pytest
 
 from processing.dpslam.judging import Finding
 from processing.dpslam.loop_config import LoopConfig
-from processing.dpslam.part_judge import KEPT_M, TIMES, PartJudge
+from processing.dpslam.part_judge import KEPT_M, TIMES, PartJudge, disputed
 from processing.se2 import compose
 
 DRIFT = np.diag((0.5**2, 0.5**2, 0.1**2))
@@ -21,10 +21,10 @@ def fits(walls, passed):
 GOOD = {"here": fits(60, 4), "there": fits(0, 0)[::-1] - np.repeat((1.0, 0.0), (50, POINTS - 50))}
 
 
-def finding(way_m=100.0, off=(0.4, -0.5, 0.08), ratio=0.4, drift=DRIFT):
+def finding(way_m=100.0, off=(0.4, -0.5, 0.08), ratio=0.4, drift=DRIFT, rival=None):
     return Finding(
         place=PLACE,
-        rival=None,
+        rival=None if rival is None else compose(PLACE, np.array(rival)),
         score=0.2,
         rival_ratio=ratio,
         at=compose(PLACE, np.array(off)),
@@ -66,12 +66,22 @@ def test_looks_that_disagree_or_lie_far_back_do_not_count():
         ("the path fits as well", {}, {"there": GOOD["here"]}),
         ("nothing speaks against the path", {}, {"there": np.zeros(POINTS)}),
         ("another place is nearly as good", {"ratio": 0.86}, {}),
+        ("another place is nearly as good, and turned", {"ratio": 0.86, "rival": (2.0, 0.0, 0.3)}, {}),
         ("nobody drifts so far", {"drift": DRIFT / 12.0}, {}),
     ],
 )
 def test_one_reason_is_enough_to_doubt(why, settings, fitting):
     assert verdicts(along(0.0, 1.0, 2.0)) == [False, False, True]
     assert not any(verdicts(along(0.0, 1.0, 2.0, 3.0, **settings), **fitting)), why
+
+
+def test_a_rival_along_a_corridor_leaves_the_place_across_it():
+    along_it = {"ratio": 0.95, "rival": (2.0, 0.0, 0.01)}
+    assert verdicts(along(0.0, 1.0, 2.0, **along_it)) == [False, False, True]
+    direction = disputed(finding(**along_it), LoopConfig())
+    np.testing.assert_allclose(direction, (np.cos(PLACE[2]), np.sin(PLACE[2])))
+    assert disputed(finding(ratio=0.8, rival=along_it["rival"]), LoopConfig()) is None
+    assert disputed(finding(), LoopConfig()) is None
 
 
 def test_a_place_on_the_path_needs_no_proof_against_it_but_a_better_fit():
