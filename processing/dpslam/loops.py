@@ -232,7 +232,7 @@ class Loops:
         fit = self._old.map.refine(query, found.place, hold)
         if (np.abs(between(found.place, fit.map_t_points)) > MOST_CORRECTION).any():
             return None
-        if self._old.is_behind_walls(fit.map_t_points, first):
+        if self._old.is_behind_walls(fit.map_t_points, first, closing.question.partly):
             return None
         # As much as one scan tells; the newest may be one of those of which nothing was kept.
         share = float(np.mean([len(points) for points in way.points[first:] if len(points)])) / len(query)

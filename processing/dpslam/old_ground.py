@@ -14,7 +14,10 @@ from processing.se2 import Pose, between, compose, transform
 Matrix = NDArray[np.float64]
 
 MOST_BEHIND = 0.1
-"""Share of the points that fit which may lie on walls that are known from their other side only."""
+"""Share of the points that fit which may lie on walls that are known from their other side only,"""
+MOST_BEHIND_IN_PART = 0.2
+"""and where only a part of the ground is known: the other half of a room shows its furniture from behind (a
+tenth of what fits, in a laboratory), but not as much as a wall between two rooms does (three tenths)."""
 MOVED_M, MOVED_RAD = 0.01, 0.003
 """A path that has moved by more needs its map anew."""
 SIGHT_M = 3.0
@@ -83,12 +86,13 @@ class OldGround:
         off = np.abs(between(map_t_laser, self._way.path[stretch]))
         return int(stretch[(np.hypot(off[:, 0], off[:, 1]) + 0.5 * off[:, 2]).argmin()])
 
-    def is_behind_walls(self, map_t_laser: Pose, first: int) -> bool:
+    def is_behind_walls(self, map_t_laser: Pose, first: int, partly: bool) -> bool:
         """Return whether a stretch of way fits because the walls of one room lie on those of the next one.
 
         Args:
             map_t_laser: (3,) where the newest key scan was found.
             first: Key scan at which the stretch begins.
+            partly: Whether the ground is known in part.
         """
         way, fitting, behind = self._way, 0, 0
         for key in range(first, len(way.points)):
@@ -96,7 +100,7 @@ class OldGround:
             fits = self.map.fits(points, at) > FITTING
             fitting += int(np.count_nonzero(fits))
             behind += int(np.count_nonzero(fits & self.map.away(points, at)))
-        return behind > MOST_BEHIND * fitting
+        return behind > (MOST_BEHIND_IN_PART if partly else MOST_BEHIND) * fitting
 
     def drift(self) -> Matrix:
         """Return how far the newest key scan may be off (3, 3), seen from the best known one around."""

@@ -26,7 +26,7 @@ LIKELY = 0.5
 MOVED_SIGMAS = 4.0
 """So many more points must fit better than on the path than fit worse, in standard deviations of their number
 if both were as good,"""
-MOVED_RATIO = 3.0
+MOVED_RATIO = 2.5
 """and so many times as many."""
 REFUTED_SIGMAS = 3.0
 """On the path so many more must lie where rays have passed: along a corridor the part that is known always
