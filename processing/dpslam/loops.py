@@ -95,11 +95,13 @@ class Loops:
 
     def conclude(self) -> Pose | None:
         """Bring the search to its end, where no scan follows; return the path (K, 3) if it has moved."""
-        if self._closing is None:
-            return None
-        while not self._closing.ended:
-            self._closing.go_on()
-        return self._close(self._closing)
+        while (closing := self._closing) is not None:
+            while not closing.ended:
+                closing.go_on()
+            moved = self._close(closing)
+            if moved is not None:
+                return moved
+        return None
 
     @property
     def on_settled_map(self) -> bool:
@@ -202,11 +204,14 @@ class Loops:
         query = picked(way.since(self._first_asked()), QUERY_POINTS)
         if len(cloud) < 100 or len(query) < 50:
             return None
+        passed = self._old.passed(at, reach_m) if partly else NO_POINTS
+        if partly and len(passed) == 0:
+            return None
         known = np.asarray(np.linalg.inv(in_map(drift + ROUGH, at[2])), np.float64)
         return Closing(
             Question(
                 cloud=thinned(cloud, FIELD_CELL_M),
-                passed=self._old.passed(at, reach_m) if partly else NO_POINTS,
+                passed=passed,
                 points=query,
                 map_t_laser=at,
                 key=len(way.path) - 1,

@@ -159,6 +159,25 @@ def test_a_drift_is_found_where_only_a_part_of_the_ground_is_known(lanes, monkey
         assert worst(loops.way.settled(), lanes) < 0.75
 
 
+def test_at_the_end_of_a_drive_the_second_search_is_brought_to_its_end_too(lanes):
+    motions = drifting(lanes, 0.004, 0.005)
+    begun = 0
+    for last in range(90, len(lanes), 3):
+        loops, _ = follow(lanes[:last], motions[:last])
+        if "closing.cloud" in loops.state() and not len(loops.state()["closing.passed"]):
+            begun += 1
+            loops.conclude()
+            assert "closing.cloud" not in loops.state()
+    assert begun > 0
+
+
+def test_where_no_ray_is_known_to_have_passed_there_is_no_second_search(lanes, monkeypatch):
+    monkeypatch.setattr(OldGround, "passed", lambda *_: np.zeros((0, 2)))
+    loops, alone = follow(lanes, drifting(lanes, 0.004, 0.005))
+    assert loops.closures == 0
+    np.testing.assert_array_equal(loops.way.path, alone)
+
+
 def test_a_path_that_is_right_stays_where_a_part_of_the_ground_is_known(lanes):
     loops, alone = follow(lanes, drifting(lanes, 0.0, 0.0))
     assert worst(alone, lanes) < 0.1
