@@ -31,6 +31,10 @@ MOVED_RATIO = 2.5
 REFUTED_SIGMAS = 3.0
 """On the path so many more must lie where rays have passed: along a corridor the part that is known always
 fits better than the one beyond its end, which nothing speaks against."""
+NEAR = np.array((0.2, 0.2, 0.1))
+"""A place no farther from the path (m, m, rad) needs not refute it,"""
+NEAR_FITTING, NEAR_FOR_ONE_AGAINST, NEAR_RIVAL = 60, 10.0, 0.6
+"""but must fit the better, and stand the more alone."""
 TIMES = 3
 """So often the same drift must be found, over half of the least way that is asked for,"""
 KEPT_M = 6.0
@@ -102,8 +106,16 @@ class PartJudge:
             return False
         better, worse = np.count_nonzero(here > there + 0.5), np.count_nonzero(there > here + 0.5)
         refuted = np.count_nonzero(there < PASSED)
-        return bool(
+        if (
             better > MOVED_RATIO * worse
             and better - worse > MOVED_SIGMAS * np.sqrt(better + worse)
             and refuted - against > REFUTED_SIGMAS * np.sqrt(refuted + against)
+        ):
+            return True
+        return bool(
+            (np.abs(finding.off_by) < NEAR).all()
+            and better >= worse
+            and fitting >= NEAR_FITTING
+            and fitting > NEAR_FOR_ONE_AGAINST * against
+            and finding.rival_ratio < NEAR_RIVAL
         )

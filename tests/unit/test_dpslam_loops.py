@@ -8,7 +8,7 @@ import pytest
 from drivers.world import Building, outline
 from drivers.world.drive import simulate_scans
 from drivers.world.generators import corridor, square_of_corridors
-from drivers.world.laser import Sick, Spinning, bearings
+from drivers.world.laser import Sick, Urg04lx, bearings
 from processing.dpslam import loops as loops_module
 from processing.dpslam import old_ground
 from processing.dpslam.loop_config import LoopConfig
@@ -143,7 +143,7 @@ def lanes():
     screens = np.column_stack((x, low_m, x + slant_m, rng.uniform(6.5, 6.8, 13)))
     hall = Building(np.vstack((outline([(0.0, 0.0, 26.0, 10.5)]), screens)))
     route = np.array(((3.0, 3.0), (20.0, 3.0), (20.0, 7.5), (3.0, 7.5)))
-    keys = key_scans(hall, route, seed=2, laser=Spinning())
+    keys = key_scans(hall, route, seed=2, laser=Urg04lx())
     return [(points[np.hypot(*points.T) < 4.0], truth) for points, truth in keys]
 
 
@@ -151,18 +151,18 @@ def lanes():
 def test_a_drift_is_found_where_only_a_part_of_the_ground_is_known(lanes, monkeypatch, partly):
     if not partly:
         monkeypatch.setattr(loops_module, "LEAST_PART", 1.0)
-    loops, alone = follow(lanes, drifting(lanes, 0.003, 0.005))
-    assert worst(alone, lanes) > 1.0
+    loops, alone = follow(lanes, drifting(lanes, 0.004, 0.005))
+    assert worst(alone, lanes) > 1.5
     assert loops.closures == partly
     assert loops.linked == partly
     if partly:
-        assert worst(loops.way.settled(), lanes) < 0.5
+        assert worst(loops.way.settled(), lanes) < 0.75
 
 
 def test_at_the_end_of_a_drive_the_second_search_is_brought_to_its_end_too(lanes):
-    motions = drifting(lanes, 0.003, 0.005)
+    motions = drifting(lanes, 0.004, 0.005)
     begun = 0
-    for last in range(80, len(lanes), 2):
+    for last in range(90, len(lanes), 3):
         loops, _ = follow(lanes[:last], motions[:last])
         if "closing.cloud" in loops.state() and not len(loops.state()["closing.passed"]):
             begun += 1
@@ -173,7 +173,7 @@ def test_at_the_end_of_a_drive_the_second_search_is_brought_to_its_end_too(lanes
 
 def test_where_no_ray_is_known_to_have_passed_there_is_no_second_search(lanes, monkeypatch):
     monkeypatch.setattr(OldGround, "passed", lambda *_: np.zeros((0, 2)))
-    loops, alone = follow(lanes, drifting(lanes, 0.003, 0.005))
+    loops, alone = follow(lanes, drifting(lanes, 0.004, 0.005))
     assert loops.closures == 0
     np.testing.assert_array_equal(loops.way.path, alone)
 
@@ -187,20 +187,18 @@ def test_a_path_that_is_right_stays_where_a_part_of_the_ground_is_known(lanes):
 @pytest.mark.parametrize("course", ["round_the_block", "lanes"])
 def test_restored_amid_a_search_goes_on_with_it(course, request):
     keys = request.getfixturevalue(course)
-    motions = drifting(keys, *((0.001, 0.004) if course == "round_the_block" else (0.003, 0.005)))
+    motions = drifting(keys, *((0.001, 0.004) if course == "round_the_block" else (0.004, 0.005)))
     whole, _ = follow(keys, motions)
-    again, amid, second = Loops(LoopConfig()), 0, 0
+    again, amid = Loops(LoopConfig()), 0
     for k, (points, _) in enumerate(keys):
         new = np.zeros(3) if k == 0 else compose(again.way.path[-1], motions[k])
         again.step(motions[k], np.zeros((3, 3)), points, np.vstack((again.way.path, new)))
         written = again.state()
         if "closing.cloud" in written:
             amid += 1
-            second += len(written["closing.passed"]) > 0
             again = Loops(LoopConfig())
             again.restore(written)
-    assert amid > 5
-    assert second > 1 or course == "round_the_block"
+    assert amid > 10
     assert again.closures == whole.closures
     assert again.closures > 0
     np.testing.assert_array_equal(again.way.path, whole.way.path)

@@ -84,6 +84,15 @@ def test_a_rival_along_a_corridor_leaves_the_place_across_it():
     assert disputed(finding(), LoopConfig()) is None
 
 
+def test_a_place_on_the_path_needs_no_proof_against_it_but_a_better_fit():
+    near = {"off": (0.05, 0.1, 0.02), "ratio": 0.5}
+    same = {"there": fits(60, 4)}
+    assert verdicts(along(0.0, 1.0, 2.0, **near), **same) == [False, False, True]
+    assert not any(verdicts(along(0.0, 1.0, 2.0, **{**near, "ratio": 0.7}), **same))
+    assert not any(verdicts(along(0.0, 1.0, 2.0, **near), here=fits(60, 7), there=fits(60, 7)))
+    assert not any(verdicts(along(0.0, 1.0, 2.0, **near), here=fits(50, 0), there=fits(50, 0)))
+
+
 def test_it_waits_until_it_is_told_to_forget_and_survives_being_written_down():
     judge = PartJudge(LoopConfig())
     assert not judge.waits
