@@ -135,10 +135,11 @@ class Rig:
                 return
             assert time.monotonic() < end, self.values
 
-    def provoke(self, fault, reason):
+    def provoke(self, fault, reason, lift=None):
         """Cause a fault while driving; return when (ns) it was.
 
-        A busy machine may stop the robot for a reason of its own just then; the course is run again then.
+        A busy machine may stop the robot for a reason of its own just then; the fault is lifted, if it is one
+        that lasts, and the course is run again.
         """
         for _ in range(5):
             self.drive()
@@ -148,6 +149,8 @@ class Rig:
             if reason in self.values["reason"]:
                 return fault_ns
             assert self.values["reason"] in LOADED, self.values["reason"]
+            if lift is not None:
+                lift()
         raise AssertionError(f"five times {self.values['reason']!r} instead of {reason!r}")
 
     def only_zeros_since(self, fault_ns, seconds=0.4):

@@ -73,7 +73,11 @@ def test_fault_4_a_robot_that_sums_by_the_old_document_is_understood(tmp_path):
 
 
 def test_fault_4_a_robot_does_not_change_its_rule(rig):
-    fault_ns = rig.provoke(lambda: rig.emulator.use_rule(Rule.WITHOUT_HEADER), "no telemetry")
+    fault_ns = rig.provoke(
+        lambda: rig.emulator.use_rule(Rule.WITHOUT_HEADER),
+        "no telemetry",
+        lambda: rig.emulator.use_rule(Rule.WITH_HEADER),
+    )
     rig.only_zeros_since(fault_ns, 0.3)
     rig.arm()  # connected anew, it is another robot that may sum as it likes
 
@@ -87,13 +91,15 @@ def test_fault_5_a_short_pause_of_the_stream_does_no_harm(rig):
 
 
 def test_fault_5_after_a_long_pause_the_robot_stands_until_it_is_armed_again(rig):
-    fault_ns = rig.provoke(lambda: rig.emulator.silence(2.0), "no telemetry")
+    fault_ns = rig.provoke(
+        lambda: rig.emulator.silence(2.0), "no telemetry", lambda: rig.emulator.silence(0.0)
+    )
     assert rig.only_zeros_since(fault_ns, 1.0) < STOP_MS
     rig.drive()
 
 
 def test_fault_6_a_robot_that_falls_silent_is_told_to_stand_and_its_silence_is_reported(rig):
-    fault_ns = rig.provoke(rig.emulator.silence, "no telemetry")
+    fault_ns = rig.provoke(rig.emulator.silence, "no telemetry", lambda: rig.emulator.silence(0.0))
     wait(lambda: rig.look() and "no data from the robot" in rig.text, what="the report")
     assert rig.level == 2
     assert rig.only_zeros_since(fault_ns) < STOP_MS
@@ -113,7 +119,7 @@ def test_fault_6_a_robot_that_falls_silent_is_told_to_stand_and_its_silence_is_r
     ],
 )
 def test_fault_7_each_hazard_ends_safe_mode_and_disarms(rig, hazard, reason):
-    fault_ns = rig.provoke(lambda: rig.emulator.hazard(**hazard), reason)
+    fault_ns = rig.provoke(lambda: rig.emulator.hazard(**hazard), reason, rig.emulator.hazard)
     assert rig.emulator.mode is Mode.PASSIVE
     assert rig.emulator.wheels_mmps == (0, 0)
     rig.only_zeros_since(fault_ns, 0.3)
@@ -139,7 +145,9 @@ def test_fault_8_a_mode_one_too_high_is_never_taken_for_armed(rig):
 
 @pytest.mark.parametrize("offset", [1, 2])
 def test_fault_8_a_mode_that_jumps_while_driving_disarms(rig, offset):
-    fault_ns = rig.provoke(lambda: rig.emulator.misreport_mode(offset), "left Safe mode")
+    fault_ns = rig.provoke(
+        lambda: rig.emulator.misreport_mode(offset), "left Safe mode", lambda: rig.emulator.misreport_mode(0)
+    )
     rig.only_zeros_since(fault_ns, 0.3)
 
 
@@ -160,7 +168,9 @@ def test_fault_9_a_robot_that_resets_in_mid_drive_is_found_again_and_stands(rig)
 
 
 def test_fault_10_a_robot_at_another_rate_is_stopped_there_and_brought_back(rig):
-    fault_ns = rig.provoke(lambda: rig.emulator.change_baud(19200), "no telemetry")
+    fault_ns = rig.provoke(
+        lambda: rig.emulator.change_baud(19200), "no telemetry", lambda: rig.emulator.change_baud(57600)
+    )
     wait(lambda: rig.emulator.wheels_mmps == (0, 0), 10.0, "standing wheels")
     wait(lambda: rig.heard(mode="1", baud="57600"), 20.0, "the robot at its own rate")
     assert rig.emulator.body.baud == 57600
@@ -219,7 +229,7 @@ def test_fault_13_of_a_backlog_the_newest_counts_and_no_hazard_is_lost(rig):
 
 
 def test_fault_13_two_seconds_without_frames_disarm_whatever_comes_then(rig):
-    fault_ns = rig.provoke(rig.emulator.hold_back, "no telemetry")
+    fault_ns = rig.provoke(rig.emulator.hold_back, "no telemetry", rig.emulator.let_go)
     time.sleep(1.5)
     rig.emulator.let_go()
     rig.only_zeros_since(fault_ns, 0.5)
@@ -227,7 +237,7 @@ def test_fault_13_two_seconds_without_frames_disarm_whatever_comes_then(rig):
 
 
 def test_fault_14_a_pulled_cable_disarms_and_the_robot_is_found_under_its_new_name(rig):
-    rig.provoke(rig.emulator.hang_up, "no line to the robot")
+    rig.provoke(rig.emulator.hang_up, "no line to the robot", rig.emulator.come_back)
     # The robot drives on: nobody can tell it anything.  That is what Safe mode and low speeds are for.
     back_ns = time.monotonic_ns()
     rig.emulator.come_back()
@@ -238,7 +248,7 @@ def test_fault_14_a_pulled_cable_disarms_and_the_robot_is_found_under_its_new_na
 
 
 def test_fault_15_a_line_that_takes_no_bytes_disarms_and_stops_the_robot_when_it_does(rig):
-    rig.provoke(rig.emulator.block_writes, "no line to the robot")
+    rig.provoke(rig.emulator.block_writes, "no line to the robot", rig.emulator.take_writes)
     free_ns = time.monotonic_ns()
     rig.emulator.take_writes()
     wait(lambda: rig.emulator.wheels_mmps == (0, 0), 10.0, "standing wheels")
