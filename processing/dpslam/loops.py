@@ -249,7 +249,8 @@ class Loops:
         known = way.relate(near, fit.map_t_points, share * told, 0.0)
         way.drift.close(near, way.path, known)
         self.closures += 1
-        if unknown is None:
+        if not closing.question.partly:
+            # A part tells where the path is, not that the next scans lie on the settled map.
             self.linked, self._misses = True, 0
         self._forget_findings()
         way.path = way.smoothed()

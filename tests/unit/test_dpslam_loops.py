@@ -154,7 +154,8 @@ def test_a_drift_is_found_where_only_a_part_of_the_ground_is_known(lanes, monkey
     loops, alone = follow(lanes, drifting(lanes, 0.004, 0.005))
     assert worst(alone, lanes) > 1.5
     assert loops.closures == partly
-    assert loops.linked == partly
+    # Only where nearly all is known does the next scan lie on the settled map.
+    assert not loops.linked
     if partly:
         assert worst(loops.way.settled(), lanes) < 0.75
 
