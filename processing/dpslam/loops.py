@@ -204,10 +204,13 @@ class Loops:
         query = picked(way.since(self._first_asked()), QUERY_POINTS)
         if len(cloud) < 100 or len(query) < 50:
             return None
-        passed = self._old.passed(at, reach_m) if partly else NO_POINTS
-        if partly and len(passed) == 0:
-            return None
-        known = np.asarray(np.linalg.inv(in_map(drift + ROUGH, at[2])), np.float64)
+        passed, costs, least_score = NO_POINTS, np.zeros((3, 3)), c.least_score
+        if partly:
+            passed, least_score = self._old.passed(at, reach_m), LEAST_PART
+            if len(passed) == 0:
+                return None
+            known = np.asarray(np.linalg.inv(in_map(drift + ROUGH, at[2])), np.float64)
+            costs = known / (2.0 * POINT_GAIN * len(query))
         return Closing(
             Question(
                 cloud=thinned(cloud, FIELD_CELL_M),
@@ -217,8 +220,8 @@ class Loops:
                 key=len(way.path) - 1,
                 reach_m=reach_m,
                 reach_rad=reach_rad,
-                costs=known / (2.0 * POINT_GAIN * len(query)) if partly else np.zeros((3, 3)),
-                least_score=LEAST_PART if partly else c.least_score,
+                costs=costs,
+                least_score=least_score,
             )
         )
 

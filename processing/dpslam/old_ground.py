@@ -22,6 +22,8 @@ MOVED_M, MOVED_RAD = 0.01, 0.003
 """A path that has moved by more needs its map anew."""
 SIGHT_M = 3.0
 """So far beyond where the laser may be something of what it sees is looked for."""
+BEYOND_M = 5.0
+"""And so far beyond what matters around the map is taken along."""
 PASSED_M = 0.1
 """Edge of the squares through which rays passed."""
 PASSES = 2
@@ -131,7 +133,7 @@ class OldGround:
             return None
         near = np.flatnonzero(off_m < reach_m + self._config.reach_m)
         points = np.vstack([transform(self._way.path[k], self._way.points[k]) for k in near])
-        return points[(np.abs(points - at[:2]) < reach_m + self._config.reach_m + 5.0).all(axis=1)]
+        return points[(np.abs(points - at[:2]) < reach_m + self._config.reach_m + BEYOND_M).all(axis=1)]
 
     def passed(self, at: Pose, reach_m: float) -> Points:
         """Return the middles (N, 2) m, map frame, of the squares of edge PASSED_M that were looked through.
@@ -141,7 +143,7 @@ class OldGround:
             reach_m: and how far off.
         """
         near = np.flatnonzero(self._off_m(at) < reach_m + self._config.reach_m)
-        half_m = reach_m + self._config.reach_m + 5.0
+        half_m = reach_m + self._config.reach_m + BEYOND_M
         origin = np.floor((at[:2] - half_m) / PASSED_M) * PASSED_M
         side = int(2.0 * half_m / PASSED_M) + 2
         passed = np.zeros((side, side), np.uint8)
