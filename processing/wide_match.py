@@ -17,7 +17,7 @@ from processing.se2 import Pose, transform
 LEVELS = 6
 """Heights of the pyramid: the coarsest step is 2^5 cells."""
 NEAR_WALL = 0.1
-"""Fit from which a place is a wall's, whatever passed there: two standard deviations of the blur off, or so."""
+"""Fit from which a place is a wall's, whatever passed there: some two deviations of the blur off."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
